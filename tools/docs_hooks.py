@@ -23,6 +23,7 @@ sys.path.insert(0, str(ROOT))
 from tools.check_docs import API, check_all  # noqa: E402
 
 _LINK = re.compile(r"(?<!!)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(\.\./([^)\s]+)\)")
+_OF_ROOT = re.compile(r"\]\((?!docs/|#|[a-z]+:)([^)\s]+)\)")
 _PAGES = {"data_spec.md": "data_spec.md", "CHANGELOG.md": "changelog.md"}
 
 
@@ -36,7 +37,9 @@ def on_pre_build(config: Any) -> None:  # noqa: ARG001 (mkdocs passes it)
 def on_files(files: Files, config: Any) -> Files:
     """Add the generated pages."""
     for name, page in _PAGES.items():
-        text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](")
+        text = (ROOT / name).read_text(encoding="utf-8")
+        # As if the page lay in docs/.
+        text = _OF_ROOT.sub(r"](../\1)", text).replace("](docs/", "](")
         files.append(File.generated(config, page, content=text))
     for path in sorted((ROOT / "docs/notebooks").glob("*.ipynb")):
         files.append(

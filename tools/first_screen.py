@@ -1,7 +1,7 @@
 """Make docs/pictures/first_screen.jpg: python tools/first_screen.py FOLDER_OF_CLEARGRASP_REAL_VAL.
 
-Colour with the contours of the objects, raw depth and restored depth of two captures of ClearGrasp's
-real-val (Apache-2.0).
+Colour with the contours of the objects, raw depth and restored depth of two captures of
+ClearGrasp's real-val (Apache-2.0).
 """
 
 from __future__ import annotations

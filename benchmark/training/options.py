@@ -258,7 +258,7 @@ class MineOptions:
     """frames of a step"""
     learning_rate: Positive = 1e-4
     """learning rate at its highest"""
-    seed: int = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=30_000)] = 0
     """of the first simulated scene, and of the training"""
     machine: Machine = field(default_factory=Machine)
     jobs: JobOptions = field(default_factory=JobOptions)

@@ -36,7 +36,7 @@ class PartNote(msgspec.Struct, frozen=True, kw_only=True):
     scenes: list[str]
     size: tuple[int, int]
     color: str
-    simulation: dict[str, str | int | float | bool | None]
+    simulation: dict[str, str | int | float | bool | list[str] | None]
 
 
 class StageNote(msgspec.Struct, frozen=True, kw_only=True):
@@ -142,7 +142,7 @@ def _parts(frames: PackedFrames, chosen: Sequence[int]) -> list[PartNote]:
     return notes
 
 
-def _simulation(root: Path) -> dict[str, str | int | float | bool | None]:
+def _simulation(root: Path) -> dict[str, str | int | float | bool | list[str] | None]:
     for folder in (root, *root.parents[:1]):
         if (folder / _SET).is_file():
             try:

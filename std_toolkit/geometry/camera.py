@@ -92,6 +92,7 @@ class Camera:
 
     @property
     def is_distorted(self) -> bool:
+        """Whether the lens has distortion."""
         return any(self.distortion)
 
     def project(self, points: NDArray[np.floating]) -> Array:
@@ -144,6 +145,7 @@ class Camera:
         return Crop(width, height, self.fx, self.fy, self.cx - x, self.cy - y, self.distortion)
 
     def without_distortion(self) -> Camera:
+        """The same camera with an ideal lens."""
         return replace(self, distortion=()) if self.distortion else self
 
     def _normalised(self, uv: Array) -> Array:

@@ -44,6 +44,7 @@ class SE3:
 
     @staticmethod
     def identity() -> SE3:
+        """The pose that moves nothing."""
         return SE3(np.eye(3), np.zeros(3))
 
     @staticmethod
@@ -116,6 +117,7 @@ class SE3:
         return np.concatenate([np.linalg.solve(_left_jacobian(phi), self.t), phi])
 
     def inverse(self) -> SE3:
+        """T_b_a of T_a_b."""
         return SE3(self.R.T, -self.R.T @ self.t)
 
     def adjoint(self) -> Array:

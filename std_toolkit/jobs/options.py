@@ -43,6 +43,7 @@ class JobOptions:
 
     @property
     def worker_count(self) -> int:
+        """Number of processes: `workers`, or one for each core that this process may use."""
         return self.workers or len(os.sched_getaffinity(0))
 
 

@@ -141,11 +141,17 @@ class Scene:
         return self._checked_annotation(documents.read_document(path, Annotation))
 
     def save_info(self, info: SceneInfo) -> None:
+        """Write scene.json.
+
+        Raises:
+            ToolkitError: a frame's camera is missing from it, or it cannot be written.
+        """
         _check_cameras(self.root, info, self.frame_table)
         documents.write_document(self.root / "scene.json", info)
         self.info = info
 
     def save_objects(self, objects: ObjectTable) -> None:
+        """Write objects.json."""
         documents.write_document(self.root / "objects.json", objects)
         self.objects = objects
 
@@ -307,6 +313,7 @@ class Scene:
         return refined.get(frame.camera, self.info.cameras[frame.camera]).camera()
 
     def color_path(self, frame: Frame) -> Path:
+        """File of the colour image."""
         return self.root / frame.color
 
     def read_color(self, frame: Frame) -> NDArray[np.uint8]:
@@ -358,6 +365,7 @@ class Scene:
         return T_world_cam.inverse() @ T_world_obj
 
     def mesh_path(self, model: Model) -> Path:
+        """File of the mesh."""
         return self.root / model.mesh
 
     def mesh(self, model_id: str) -> trimesh.Trimesh:

@@ -64,6 +64,7 @@ def test_simulated_scenes_that_are_scored_are_others(tmp_path: Path) -> None:
     scored = tests["simulated"]
     assert len(scored.seeds) == 5
     assert not set(training[0].seeds) & set(scored.seeds)
+    assert max(scored.seeds) <= 99_999  # names of scenes have five digits
     assert training[0].root != scored.root
     assert scored.options is not None and scored.options.split == "all"
 
