@@ -138,7 +138,7 @@ def cases(top: Path) -> dict[str, Case]:
         "train": Case(
             lambda out: module(
                 "benchmark.cli.train", "train", "--method", "dfnet", "--data", pack,
-                "--set", "channels=8", "--steps", 24, "--batch-size", 2, "--hold-out", 0.3,
+                "--set", "input_size=64,64", "--steps", 24, "--batch-size", 2, "--hold-out", 0.3,
                 "--checkpoint-every", 4, "--validate-every", 12, "--readers", 0,
                 "--accelerator", "cpu", "--out", out,
             ),
@@ -259,10 +259,10 @@ def main() -> int:
         top = args.work or Path(folder)
         top.mkdir(parents=True, exist_ok=True)
         known = cases(top)
-        tallies = {
-            name: attack(name, known[name], top, args.kills, random.Random(args.seed))
-            for name in args.commands or known
-        }
+        tallies = {}
+        for name in args.commands or known:
+            tallies[name] = attack(name, known[name], top, args.kills, random.Random(args.seed))
+            print(f"{name}: {tallies[name]}", flush=True)
     print("\ncommand   kills  chains  slowest end  faults")
     for name, tally in tallies.items():
         print(
