@@ -2,7 +2,7 @@
 
     python tools/kills.py [COMMAND ...] [--kills 50] [--seed 0] [--work DIR]
 
-Commands: curate (`std-curate run`), bench, restore, sim, train; all by default. A third of the
+Commands: curate (`std-curate run`), bench, restore, sim; all by default. A third of the
 kills each are SIGKILL, SIGTERM and SIGINT. The latter two must end the command within 5 s, with a
 line that says how to resume. Prints a line per kill and a table; exits with 1 after a fault.
 """
@@ -78,7 +78,7 @@ def run(words: list[str]) -> None:
 
 
 def cases(top: Path) -> dict[str, Case]:
-    """The commands on a synthetic recording, its labelled scene, and its packed frames."""
+    """The commands on a synthetic recording and its labelled scene."""
     recording, labelled, solved = top / "recording", top / "labelled", top / "data" / "solved"
     if not (recording / "truth.json").exists():
         run(module("sensors.synthetic", "record", recording, *RECORDING))
@@ -89,14 +89,6 @@ def cases(top: Path) -> dict[str, Case]:
         solved.parent.mkdir(exist_ok=True)
         shutil.copytree(labelled, solved)
         run(module("std_toolkit.cli.main", "--quiet", "run", solved, *options))
-    pack = top / "pack"
-    if not pack.exists():
-        run(
-            module(
-                "benchmark.cli.train", "pack", pack, "--split", "scenes", "--data", top / "data",
-                "--engine", "serial", "--size", 64, 64,
-            )
-        )  # fmt: skip
     shapes = top / "shapes"
     if not shapes.exists():
         import trimesh
@@ -134,15 +126,6 @@ def cases(top: Path) -> dict[str, Case]:
                 shapes, *tiny, "--scenes", 2, "--engine", "serial",
             ),
             products=("DREDS-CatKnown/",),
-        ),
-        "train": Case(
-            lambda out: module(
-                "benchmark.cli.train", "train", "--method", "dfnet", "--data", pack,
-                "--set", "channels=8", "--steps", 24, "--batch-size", 2, "--hold-out", 0.3,
-                "--checkpoint-every", 4, "--validate-every", 12, "--readers", 0,
-                "--accelerator", "cpu", "--out", out,
-            ),
-            products=("best.safetensors", "last.safetensors", "best.json", "validation.csv"),
         ),
     }  # fmt: skip
 
@@ -259,10 +242,10 @@ def main() -> int:
         top = args.work or Path(folder)
         top.mkdir(parents=True, exist_ok=True)
         known = cases(top)
-        tallies = {
-            name: attack(name, known[name], top, args.kills, random.Random(args.seed))
-            for name in args.commands or known
-        }
+        tallies = {}
+        for name in args.commands or known:
+            tallies[name] = attack(name, known[name], top, args.kills, random.Random(args.seed))
+            print(f"{name}: {tallies[name]}", flush=True)
     print("\ncommand   kills  chains  slowest end  faults")
     for name, tally in tallies.items():
         print(

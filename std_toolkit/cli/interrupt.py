@@ -63,6 +63,18 @@ def ended_by_signals(message: str, *, grace_s: float | None = GRACE_S) -> Iterat
         os.close(writing)  # the thread ends at the end of its input
 
 
+def keep_handlers() -> None:
+    """Install Python's handlers again after the import of a library that replaced them.
+
+    The log library within pycolmap prints a stack trace at SIGTERM and ends the process.
+    """
+    if threading.current_thread() is threading.main_thread():
+        for number in _SIGNALS:
+            handler = signal.getsignal(number)
+            if callable(handler):
+                signal.signal(number, handler)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
     """Do what SIGINT does here: a window closes, a server stops, a computation is interrupted."""
     handler = signal.getsignal(signal.SIGINT)

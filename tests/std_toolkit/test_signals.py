@@ -25,6 +25,13 @@ def loop():
 def within_a_library():  # Python handles no signal before it returns
     hashlib.pbkdf2_hmac("sha512", b"a", b"b", 10**9)
 
+def after_pycolmap():  # its log library handles SIGTERM by itself
+    import pycolmap
+    from std_toolkit.cli.interrupt import keep_handlers
+    keep_handlers()
+    print("imported", flush=True)
+    loop()
+
 def a_thread_goes_on():
     threading.Thread(target=within_a_library).start()
     time.sleep(60)
@@ -74,11 +81,14 @@ def started(tmp_path: Path, work: str, *, ignored: bool = False) -> subprocess.P
         ("within_a_library", signal.SIGTERM),
         pytest.param("within_a_library", signal.SIGINT, marks=pytest.mark.long),
         ("a_thread_goes_on", signal.SIGTERM),
+        ("after_pycolmap", signal.SIGTERM),
         pytest.param("swallowed", signal.SIGTERM, marks=pytest.mark.long),
     ],
 )
 def test_the_program_ends_in_time(work: str, number: signal.Signals, tmp_path: Path) -> None:
     process = started(tmp_path, work)
+    if work == "after_pycolmap":
+        assert process.stdout is not None and process.stdout.readline() == "imported\n"
     time.sleep(0.1)
     began = time.monotonic()
     process.send_signal(number)

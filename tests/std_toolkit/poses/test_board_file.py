@@ -71,7 +71,7 @@ def test_charuco(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "not a JSON file"),
+        ("", "not valid JSON"),
         ("[1]", "one JSON object"),
         ("{}", "no tags"),
         ('{"1": [[0,0,0]]}', "4 corners"),
