@@ -51,8 +51,6 @@ _PLATTER_M = 0.24
 # Part of the image's height that the object may cover, and the nearest distance of the camera.
 _COVERED, _NEAREST_M = 0.72, 0.33
 
-_BOARD_PX_PER_MM = 3.2
-
 # Blurred copies of an image, standard deviations in pixels; between them is interpolated.
 _BLURS = (0.0, 0.6, 1.2, 2.4, 4.8, 9.6)
 
@@ -161,11 +159,11 @@ class Turntable:
 
     def load(self) -> None:
         """Prepare renderer and scene."""
-        floor, sheet = self._table(), _sheet_object(self.sheet)
+        floor = self._table()
         self._floor = floor
         material = _material(self._o)
         item = _scene_object(self._mesh, material, self.T_world_obj)
-        scene = SimScene((floor, sheet, item), self._environment)
+        scene = SimScene((floor, *_sheet_objects(self.sheet), item), self._environment)
         self._caster = TruthCaster(scene)
         self._scene: LoadedScene = SIM_RENDERERS.get("mitsuba")().load(scene)
         self._exposure: float | None = None
@@ -368,32 +366,40 @@ def _scene_object(mesh: Any, material: DrawnMaterial, T_world_obj: SE3) -> Scene
     )
 
 
-def _sheet_object(sheet: BoardSheet) -> SceneObject:
-    width, height = (v / 1000 for v in sheet.paper_mm)
-    vertices = np.array(
-        [[-width, -height, 0], [width, -height, 0], [width, height, 0], [-width, height, 0]]
-    )
-    grey = sheet.picture(_BOARD_PX_PER_MM)
-    # Ink is not black and paper not white.
-    grey = np.rint(28 + grey.astype(np.float64) * (238 - 28) / 255).astype(np.uint8)
-    return SceneObject(
-        2,
-        SurfaceMesh(
-            vertices / 2,
-            np.array([[0, 1, 2], [0, 2, 3]]),
-            np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]),
-        ),
-        SE3(np.eye(3), np.array([0, 0, -_GAP_M / 2])),
-        DrawnMaterial(
-            name="raw",
-            material_class="raw",
-            color=(0.5, 0.5, 0.5),
-            own_share=1.0,
-            roughness=0.8,
-            specular=0.2,
-        ),
-        texture=np.repeat(grey[..., None], 3, axis=2),
-    )
+def _sheet_objects(sheet: BoardSheet) -> tuple[SceneObject, SceneObject]:
+    """Paper, and the black cells on it as surfaces: an image would blur their edges."""
+    width, height = sheet.paper_mm
+    parts = []
+    for number, level, rectangles, shade in (
+        (2, -_GAP_M / 2, [(-width / 2, -height / 2, width, height)], 0.82),
+        (3, -_GAP_M / 4, sheet.cells(), 0.015),
+    ):
+        corners = [
+            [[x, y, 0], [x + w, y, 0], [x + w, y + h, 0], [x, y + h, 0]]
+            for x, y, w, h in rectangles
+        ]
+        first = 4 * np.arange(len(corners))[:, None]
+        parts.append(
+            SceneObject(
+                number,
+                SurfaceMesh(
+                    np.asarray(corners, np.float64).reshape(-1, 3) / 1000,
+                    (first[:, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3),
+                ),
+                SE3(np.eye(3), np.array([0, 0, level])),
+                # Ink is not black and paper not white.
+                DrawnMaterial(
+                    name="raw",
+                    material_class="raw",
+                    color=(0.5, 0.5, 0.5),
+                    own_share=1.0,
+                    roughness=0.8,
+                    specular=0.2,
+                ),
+                color=(shade, shade, shade),
+            )
+        )
+    return parts[0], parts[1]
 
 
 def _defocus(

@@ -89,16 +89,6 @@ class BoardSheet:
                     start = end + 1
         return rectangles
 
-    def picture(self, px_per_mm: float) -> NDArray[np.uint8]:
-        """(h, w) grey image of the printed sheet without its text."""
-        width, height = (round(v * px_per_mm) for v in self.paper_mm)
-        image = np.full((height, width), 255, np.uint8)
-        for x, y, w, h in self.cells():
-            left, right = ((self.paper_mm[0] / 2 + v) * px_per_mm for v in (x, x + w))
-            top, low = ((self.paper_mm[1] / 2 - v) * px_per_mm for v in (y + h, y))
-            image[round(top) : round(low), round(left) : round(right)] = 0
-        return image
-
 
 def make_board_sheet(paper: Paper = "a4", *, first_id: int = 0) -> BoardSheet:
     """Tags along the four edges of a sheet.
