@@ -1,0 +1,364 @@
+"""Masks of the object without a network: table model, GrabCut per photo, visual hull."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.log import logger
+from std_toolkit.scanning.depth_maps import hull_depth
+from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
+from std_toolkit.scanning.table_model import Comparison, compare, model_table
+from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
+
+# Voxels of the first, coarse hull.
+_COARSE_VOXELS = 1_200_000
+# Candidates smaller than this share of the largest are not offered.
+_SMALL = 0.02
+# Height above the table from which a voxel counts as part of an object.
+_ABOVE_M = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Something that stands on the table.
+
+    Attributes:
+        low, high: (3,) corners of its bounding box, world.
+        volume: cubic metres of its coarse hull.
+        vertices, faces: surface of its coarse hull.
+    """
+
+    low: Array
+    high: Array
+    volume: float
+    vertices: Array
+    faces: NDArray[np.int64]
+
+
+def find_candidates(
+    views: Sequence[View], corners: Array, *, threads: int
+) -> tuple[list[Candidate], list[Comparison]]:
+    """What stands on the board or beside it, largest first, and the photos against the table.
+
+    Args:
+        views: photos.
+        corners: (M, 3) corners of the board, world.
+        threads: number of threads.
+    """
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    size = float((high - low).max())
+    low, high = low - 0.35 * size, high + 0.35 * size
+    table = model_table(views, low, high)
+    compared = in_threads(
+        lambda i: compare(views[i], table, i), range(len(views)), threads=threads
+    )
+    # Objects stand on the board or reach over its border by a little.
+    edge = 0.12 * size
+    low, high = low + 0.35 * size - edge, high - 0.35 * size + edge
+    tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), 0.8 * size, 0.5)
+    box = np.array([*(high - low), tallest])
+    step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
+    grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
+    inside = _not_carved(views, compared, grid)
+    return _split(inside, grid), compared
+
+
+def _not_carved(views: Sequence[View], compared: Sequence[Comparison], grid: Grid) -> Mask:
+    """Voxels that stand before the bare table in few photos, and before another colour in more."""
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
+    points = grid.points(index.reshape(-1, 3))
+    clear = np.zeros(len(points), np.int16)
+    different = np.zeros(len(points), np.int16)
+    for view, c in zip(views, compared, strict=True):
+        homogeneous = points @ view.P[:, :3].T + view.P[:, 3]
+        z = homogeneous[:, 2]
+        h, w = view.image.shape[:2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = np.rint(homogeneous[:, 0] / z)
+            y = np.rint(homogeneous[:, 1] / z)
+        ok = (z > 0.02) & (x >= 0) & (y >= 0) & (x < w) & (y < h)
+        xi, yi = x[ok].astype(np.int64), y[ok].astype(np.int64)
+        # The coarse voxel covers several pixels: all of them must be clear.
+        radius = max(0, round(0.35 * grid.step * view.camera.fx / float(np.median(z[ok])))) if (
+            ok.any()
+        ) else 0  # fmt: skip
+        kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+        whole = cv2.erode(c.clear.astype(np.uint8), kernel) > 0
+        clear[ok] += whole[yi, xi]
+        different[ok] += c.different[yi, xi]
+    found = (different >= 3) & (clear <= np.maximum(1, 0.12 * different))
+    return np.asarray(found.reshape(grid.shape))
+
+
+def _split(inside: Mask, grid: Grid) -> list[Candidate]:
+    """Connected parts of the coarse hull that begin near the table, largest first."""
+    labels, count = ndimage.label(inside)
+    found = []
+    bottom = max(2, round(0.02 / grid.step))
+    for n, place in enumerate(ndimage.find_objects(labels), start=1):
+        part = labels[place] == n
+        volume = float(part.sum()) * grid.step**3
+        if part.sum() < 12 or place[0].start > bottom or volume < 5e-7:
+            continue
+        start = np.array([s.start for s in place])
+        corner = grid.points(start[None])[0]
+        local = Grid(tuple(corner), grid.step, part.shape)
+        field = np.where(part, -grid.step, grid.step).astype(np.float32)
+        vertices, faces = surface_of(field, local)
+        found.append(Candidate(vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces))
+    found.sort(key=lambda c: -c.volume)
+    return [c for c in found if c.volume > _SMALL * found[0].volume]
+
+
+def choose_candidate(
+    candidates: Sequence[Candidate],
+    views: Sequence[View],
+    *,
+    pick: tuple[int, float, float] | None = None,
+    box: tuple[int, float, float, float, float] | None = None,
+) -> int:
+    """Index of the object to scan.
+
+    Args:
+        candidates: what stands on the table.
+        views: photos.
+        pick: index of a photo and a pixel (x, y) on the object.
+        box: index of a photo and x0, y0, x1, y1 around the object.
+
+    Raises:
+        ToolkitError: nothing stands there, or several objects and no choice.
+    """
+    if not candidates:
+        raise ToolkitError(
+            "nothing was found standing on the board",
+            hint="put the object on the board, photograph it also from above so that the board is "
+            "seen behind it, or give --masks",
+        )
+    if pick is not None:
+        view = views[pick[0]]
+        ray = view.T_world_cam.R @ view.camera.unproject(np.array(pick[1:]))
+        hits = [
+            RayCaster(c.vertices, c.faces).cast(np.array([*view.centre, *ray])).distance
+            for c in candidates
+        ]
+        if not np.isfinite(hits).any():
+            raise ToolkitError(
+                f"no object at this pixel of {view.name}", field="--pick", value=pick[1:]
+            )
+        return int(np.argmin(hits))
+    if box is not None:
+        view = views[box[0]]
+        shares = []
+        for c in candidates:
+            uv, _ = view.project(c.vertices)
+            shares.append(float(((uv >= box[1:3]) & (uv <= box[3:])).all(axis=1).mean()))
+        best = int(np.argmax([s * c.volume for s, c in zip(shares, candidates, strict=True)]))
+        if shares[best] < 0.3:
+            raise ToolkitError(f"no object in this box of {view.name}", field="--box", value=box[1:])
+        return best
+    if len(candidates) > 1:
+        raise ToolkitError(
+            f"{len(candidates)} objects stand on the board",
+            hint="choose one with --pick FRAME:x,y or --box FRAME:x0,y0,x1,y1; the picture "
+            "candidates.jpg in the output folder shows them",
+        )
+    return 0
+
+
+def segment_on_table(
+    views: Sequence[View],
+    candidates: Sequence[Candidate],
+    chosen: int,
+    compared: Sequence[Comparison],
+    *,
+    threads: int,
+) -> list[View]:
+    """Photos with the mask of the chosen object.
+
+    Args:
+        views: photos.
+        candidates: what stands on the table.
+        chosen: index of the object among them.
+        compared: the photos against the table.
+        threads: number of threads.
+    """
+    target = candidates[chosen]
+    others = [c for i, c in enumerate(candidates) if i != chosen]
+    grown = 1.15 * (target.vertices - target.vertices.mean(axis=0)) + target.vertices.mean(axis=0)
+    caster = RayCaster(grown, target.faces, threads=1)
+    exact = RayCaster(target.vertices, target.faces, threads=1)
+    before = None
+    if others:
+        before = RayCaster(threads=1)
+        for c in others:
+            before.add(c.vertices, c.faces)
+
+    def one(i: int) -> View:
+        view, c = views[i], compared[i]
+        whole = (0, 0, view.camera.width, view.camera.height)
+        depth, _ = hull_depth(view, caster, np.zeros(3), whole)
+        core, _ = hull_depth(view, exact, np.zeros(3), whole)
+        hidden = np.zeros(depth.shape, bool)
+        if before is not None:
+            other, _ = hull_depth(view, before, np.zeros(3), whole)
+            hidden = (other > 0) & ((core == 0) | (other < core)) & (depth > 0)
+        maybe = (depth > 0) & ~c.clear
+        sure = _eroded((core > 0) & c.different & ~hidden, 3)
+        mask = _grab_cut(view.image, maybe & ~hidden, sure)
+        return view.with_mask(mask, hidden if hidden.any() else None)
+
+    return consistent(in_threads(one, range(len(views)), threads=threads), threads=threads)
+
+
+def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
+    """Photos with masks of an object before a background that the image borders show."""
+
+    def one(view: View) -> View:
+        image = cv2.GaussianBlur(view.image, (0, 0), 1.0).astype(np.float32)
+        edge = np.concatenate([image[:4].reshape(-1, 3), image[-4:].reshape(-1, 3),
+                               image[:, :4].reshape(-1, 3), image[:, -4:].reshape(-1, 3)])  # fmt: skip
+        middle = np.median(edge, axis=0)
+        noise = 1.5 * np.median(np.abs(edge - middle)) + 1
+        off = np.abs(image - middle).max(axis=-1)
+        scaled = np.clip(off, 0, 255).astype(np.uint8)
+        level, _ = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+        sure = largest_component(off > max(0.9 * level, 6 * noise))
+        maybe = off > max(0.25 * level, 4 * noise)
+        labels, _ = ndimage.label(maybe)
+        reached = np.isin(labels, np.unique(labels[sure & (labels > 0)])) & (labels > 0)
+        return view.with_mask(_grab_cut(view.image, reached, _eroded(sure, 2)))
+
+    return consistent(in_threads(one, views, threads=threads), threads=threads)
+
+
+def volume_of_masks(views: Sequence[View]) -> tuple[Array, Array]:
+    """Corners (low, high) of a box that contains what the masks show.
+
+    Raises:
+        ToolkitError: the masks do not meet in space.
+    """
+    rays, centres, radii = [], [], []
+    for view in views:
+        if view.shown.sum() < 50:
+            continue
+        rows, columns = np.nonzero(view.shown)
+        middle = np.array([columns.mean(), rows.mean()])
+        ray = view.T_world_cam.R @ view.camera.unproject(middle)
+        rays.append(ray / np.linalg.norm(ray))
+        centres.append(view.centre)
+        reach = np.hypot(columns - middle[0], rows - middle[1]).max() / view.camera.fx
+        radii.append(reach)
+    if len(rays) < 2:
+        raise ToolkitError("the masks are empty", hint="give your own with --masks")
+    P = np.eye(3) - np.einsum("ni,nj->nij", np.array(rays), np.array(rays))
+    centre = np.linalg.solve(P.sum(axis=0), np.einsum("nij,nj->i", P, np.array(centres)))
+    away = np.linalg.norm(np.array(centres) - centre, axis=1)
+    radius = 1.2 * float(np.median(np.array(radii) * away))
+    grid = Grid.around(centre - radius, centre + radius, 2 * radius / 90, margin=0)
+    field = hull_field(views, grid, allowed=max(1, len(views) // 10))
+    inside = np.argwhere(largest_component(field < grid.step))
+    if len(inside) == 0:
+        raise ToolkitError(
+            "the masks of the photos do not meet in one volume",
+            hint="check the camera poses and the masks in the report",
+        )
+    points = grid.points(inside)
+    return points.min(axis=0) - 1.5 * grid.step, points.max(axis=0) + 1.5 * grid.step
+
+
+def consistent(views: Sequence[View], *, rounds: int = 2, threads: int = 1) -> list[View]:
+    """Photos whose masks agree with the visual hull of all of them.
+
+    A pixel that the hull covers although its photo's mask does not, or the reverse, is decided
+    anew by colour.
+    """
+    current = list(views)
+    for n in range(rounds):
+        low, high = volume_of_masks(current)
+        step = float(((high - low).prod() / 1_000_000) ** (1 / 3))
+        grid = Grid.around(low, high, step)
+        field = hull_field(current, grid, allowed=max(1, len(current) // 12), threads=threads)
+        field = np.where(largest_component(field < 0) | (field >= 0), field, step)
+        vertices, faces = surface_of(field.astype(np.float32), grid)
+        if len(faces) == 0:
+            raise ToolkitError(
+                "the masks of the photos contradict each other",
+                hint="correct them with std-annotate and give them with --masks",
+            )
+        caster = RayCaster(vertices, faces, threads=1)
+
+        def one(view: View, caster: RayCaster = caster, band: int = 5 - n) -> View:
+            whole = (0, 0, view.camera.width, view.camera.height)
+            inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
+            hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
+            maybe = _dilated(inside, band) & ~hidden
+            sure = _eroded(inside & ~hidden, band) & (view.shown | _eroded(inside, 4 * band))
+            return view.with_mask(_grab_cut(view.image, maybe, sure), view.hidden)
+
+        changed = in_threads(one, current, threads=threads)
+        moved = [
+            float((a.shown ^ b.shown).sum()) / max(1, b.shown.sum())
+            for a, b in zip(changed, current, strict=True)
+        ]
+        current = changed
+        logger.info("masks: round %d changed %.1f %% of them", n + 1, 100 * float(np.mean(moved)))
+    return current
+
+
+def _grab_cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask) -> Mask:
+    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`."""
+    rows, columns = np.flatnonzero(maybe.any(axis=1)), np.flatnonzero(maybe.any(axis=0))
+    result = np.zeros(maybe.shape, bool)
+    if len(rows) < 3 or len(columns) < 3 or sure.sum() < 30:
+        return result
+    margin = 30
+    y0, y1 = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, maybe.shape[0])
+    x0, x1 = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, maybe.shape[1])
+    window = (slice(y0, y1), slice(x0, x1))
+    state = np.full((y1 - y0, x1 - x0), cv2.GC_BGD, np.uint8)
+    state[maybe[window]] = cv2.GC_PR_FGD
+    state[sure[window]] = cv2.GC_FGD
+    if (state == cv2.GC_BGD).sum() < 30:
+        return np.asarray(maybe)
+    crop = np.ascontiguousarray(image[window][..., ::-1])
+    cv2.setRNGSeed(0)
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.grabCut(crop, state, None, *models, 3, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
+    found = (state == cv2.GC_FGD) | (state == cv2.GC_PR_FGD)
+    found = ndimage.binary_opening(found, iterations=1) | (sure[window] & found)
+    labels, count = ndimage.label(found)
+    if count > 1:
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        found = sizes[labels] > 0.02 * sizes.max()
+    result[window] = _small_holes_filled(found)
+    return result
+
+
+def _small_holes_filled(mask: Mask) -> Mask:
+    """The mask with holes below 0.3 % of its area filled: highlights, not handles."""
+    labels, _ = ndimage.label(~mask)
+    sizes = np.bincount(labels.ravel())
+    border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    small = sizes < max(20, 0.003 * mask.sum())
+    small[border] = False
+    small[0] = False
+    return np.asarray(mask | small[labels])
+
+
+def _eroded(mask: Mask, radius: int) -> Mask:
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
+
+
+def _dilated(mask: Mask, radius: int) -> Mask:
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel) > 0)
