@@ -27,7 +27,7 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
         ("errors",),
-        ("log", "options", "plugins"),
+        ("compiled", "log", "options", "plugins"),
         ("",),
         ("geometry", "io", "jobs"),
         ("cameras", "html", "scene"),
@@ -37,6 +37,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("scanning",),
         ("checks",),
         ("cli",),
+        ("scanning",),
     ),
     "annotator": (
         ("", "options", "startup"),

@@ -218,9 +218,7 @@ def _matches(
     matching = work / "matching"
     shutil.rmtree(matching, ignore_errors=True)
     matching.mkdir(parents=True)
-    database, _ = match_keyframes(
-        images, pairs, {"photo": camera}, matching, options=PoseOptions()
-    )
+    database, _ = match_keyframes(images, pairs, {"photo": camera}, matching, options=PoseOptions())
     found = [(a - 1, b - 1, m) for a, b, m in verified_matches(database)]
     shutil.rmtree(matching, ignore_errors=True)
     return {i: f.uv for i, f in enumerate(loaded)}, found
@@ -338,7 +336,9 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
         new = [n for n in range(a, b) if int(tracks.frame[n]) in missing]
         if not new or b - a - len(new) < 2:
             continue
-        one = replace(tracks, frame=tracks.frame[a:b], uv=tracks.uv[a:b], offsets=np.array([0, b - a]))
+        one = replace(
+            tracks, frame=tracks.frame[a:b], uv=tracks.uv[a:b], offsets=np.array([0, b - a])
+        )
         for X, _, _ in _triangulated(one, poses, camera):
             for n in new:
                 pixels[int(tracks.frame[n])].append(tracks.uv[n])

@@ -416,7 +416,11 @@ def _patch_match(  # type: ignore[no-untyped-def]
                         # Anywhere below the hull, near it more often.
                         d = low + (high - low) * np.random.random() ** 2
                         spread = 0.4
-                        n0, n1, n2 = hull_normal[y, x, 0], hull_normal[y, x, 1], hull_normal[y, x, 2]
+                        n0, n1, n2 = (
+                            hull_normal[y, x, 0],
+                            hull_normal[y, x, 1],
+                            hull_normal[y, x, 2],
+                        )
                     else:
                         scale = 0.25 ** (k + (0 if random_start else 1))
                         d = depth[y, x] + (np.random.random() * 2 - 1) * 0.3 * deepest * scale

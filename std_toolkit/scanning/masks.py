@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -13,164 +11,15 @@ from scipy import ndimage
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.log import logger
+from std_toolkit.scanning.candidates import Candidate
 from std_toolkit.scanning.depth_maps import hull_depth
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.table_model import Comparison, compare, model_table
+from std_toolkit.scanning.table_model import Comparison
 from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
 
-# Voxels of the first, coarse hull.
-_COARSE_VOXELS = 1_200_000
-# Candidates smaller than this share of the largest are not offered.
-_SMALL = 0.02
-# Height above the table from which a voxel counts as part of an object.
-_ABOVE_M = 0.004
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """Something that stands on the table.
-
-    Attributes:
-        low, high: (3,) corners of its bounding box, world.
-        volume: cubic metres of its coarse hull.
-        vertices, faces: surface of its coarse hull.
-    """
-
-    low: Array
-    high: Array
-    volume: float
-    vertices: Array
-    faces: NDArray[np.int64]
-
-
-def find_candidates(
-    views: Sequence[View], corners: Array, *, threads: int
-) -> tuple[list[Candidate], list[Comparison]]:
-    """What stands on the board or beside it, largest first, and the photos against the table.
-
-    Args:
-        views: photos.
-        corners: (M, 3) corners of the board, world.
-        threads: number of threads.
-    """
-    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
-    size = float((high - low).max())
-    low, high = low - 0.35 * size, high + 0.35 * size
-    table = model_table(views, low, high)
-    compared = in_threads(
-        lambda i: compare(views[i], table, i), range(len(views)), threads=threads
-    )
-    # Objects stand on the board or reach over its border by a little.
-    edge = 0.12 * size
-    low, high = low + 0.35 * size - edge, high - 0.35 * size + edge
-    tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), 0.8 * size, 0.5)
-    box = np.array([*(high - low), tallest])
-    step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
-    grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
-    inside = _not_carved(views, compared, grid)
-    return _split(inside, grid), compared
-
-
-def _not_carved(views: Sequence[View], compared: Sequence[Comparison], grid: Grid) -> Mask:
-    """Voxels that stand before the bare table in few photos, and before another colour in more."""
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
-    points = grid.points(index.reshape(-1, 3))
-    clear = np.zeros(len(points), np.int16)
-    different = np.zeros(len(points), np.int16)
-    for view, c in zip(views, compared, strict=True):
-        homogeneous = points @ view.P[:, :3].T + view.P[:, 3]
-        z = homogeneous[:, 2]
-        h, w = view.image.shape[:2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = np.rint(homogeneous[:, 0] / z)
-            y = np.rint(homogeneous[:, 1] / z)
-        ok = (z > 0.02) & (x >= 0) & (y >= 0) & (x < w) & (y < h)
-        xi, yi = x[ok].astype(np.int64), y[ok].astype(np.int64)
-        # The coarse voxel covers several pixels: all of them must be clear.
-        radius = max(0, round(0.35 * grid.step * view.camera.fx / float(np.median(z[ok])))) if (
-            ok.any()
-        ) else 0  # fmt: skip
-        kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-        whole = cv2.erode(c.clear.astype(np.uint8), kernel) > 0
-        clear[ok] += whole[yi, xi]
-        different[ok] += c.different[yi, xi]
-    found = (different >= 3) & (clear <= np.maximum(1, 0.12 * different))
-    return np.asarray(found.reshape(grid.shape))
-
-
-def _split(inside: Mask, grid: Grid) -> list[Candidate]:
-    """Connected parts of the coarse hull that begin near the table, largest first."""
-    labels, count = ndimage.label(inside)
-    found = []
-    bottom = max(2, round(0.02 / grid.step))
-    for n, place in enumerate(ndimage.find_objects(labels), start=1):
-        part = labels[place] == n
-        volume = float(part.sum()) * grid.step**3
-        if part.sum() < 12 or place[0].start > bottom or volume < 5e-7:
-            continue
-        start = np.array([s.start for s in place])
-        corner = grid.points(start[None])[0]
-        local = Grid(tuple(corner), grid.step, part.shape)
-        field = np.where(part, -grid.step, grid.step).astype(np.float32)
-        vertices, faces = surface_of(field, local)
-        found.append(Candidate(vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces))
-    found.sort(key=lambda c: -c.volume)
-    return [c for c in found if c.volume > _SMALL * found[0].volume]
-
-
-def choose_candidate(
-    candidates: Sequence[Candidate],
-    views: Sequence[View],
-    *,
-    pick: tuple[int, float, float] | None = None,
-    box: tuple[int, float, float, float, float] | None = None,
-) -> int:
-    """Index of the object to scan.
-
-    Args:
-        candidates: what stands on the table.
-        views: photos.
-        pick: index of a photo and a pixel (x, y) on the object.
-        box: index of a photo and x0, y0, x1, y1 around the object.
-
-    Raises:
-        ToolkitError: nothing stands there, or several objects and no choice.
-    """
-    if not candidates:
-        raise ToolkitError(
-            "nothing was found standing on the board",
-            hint="put the object on the board, photograph it also from above so that the board is "
-            "seen behind it, or give --masks",
-        )
-    if pick is not None:
-        view = views[pick[0]]
-        ray = view.T_world_cam.R @ view.camera.unproject(np.array(pick[1:]))
-        hits = [
-            RayCaster(c.vertices, c.faces).cast(np.array([*view.centre, *ray])).distance
-            for c in candidates
-        ]
-        if not np.isfinite(hits).any():
-            raise ToolkitError(
-                f"no object at this pixel of {view.name}", field="--pick", value=pick[1:]
-            )
-        return int(np.argmin(hits))
-    if box is not None:
-        view = views[box[0]]
-        shares = []
-        for c in candidates:
-            uv, _ = view.project(c.vertices)
-            shares.append(float(((uv >= box[1:3]) & (uv <= box[3:])).all(axis=1).mean()))
-        best = int(np.argmax([s * c.volume for s, c in zip(shares, candidates, strict=True)]))
-        if shares[best] < 0.3:
-            raise ToolkitError(f"no object in this box of {view.name}", field="--box", value=box[1:])
-        return best
-    if len(candidates) > 1:
-        raise ToolkitError(
-            f"{len(candidates)} objects stand on the board",
-            hint="choose one with --pick FRAME:x,y or --box FRAME:x0,y0,x1,y1; the picture "
-            "candidates.jpg in the output folder shows them",
-        )
-    return 0
+# The inner part of a candidate's coarse shape that certainly shows the object.
+_INNER = 0.7
+_OUTER = 1.15
 
 
 def segment_on_table(
@@ -192,9 +41,9 @@ def segment_on_table(
     """
     target = candidates[chosen]
     others = [c for i, c in enumerate(candidates) if i != chosen]
-    grown = 1.15 * (target.vertices - target.vertices.mean(axis=0)) + target.vertices.mean(axis=0)
-    caster = RayCaster(grown, target.faces, threads=1)
-    exact = RayCaster(target.vertices, target.faces, threads=1)
+    middle = (target.low + target.high) / 2
+    caster = RayCaster(middle + _OUTER * (target.vertices - middle), target.faces, threads=1)
+    exact = RayCaster(middle + _INNER * (target.vertices - middle), target.faces, threads=1)
     before = None
     if others:
         before = RayCaster(threads=1)
@@ -209,9 +58,9 @@ def segment_on_table(
         hidden = np.zeros(depth.shape, bool)
         if before is not None:
             other, _ = hull_depth(view, before, np.zeros(3), whole)
-            hidden = (other > 0) & ((core == 0) | (other < core)) & (depth > 0)
+            hidden = (other > 0) & (other < depth) & (depth > 0)
         maybe = (depth > 0) & ~c.clear
-        sure = _eroded((core > 0) & c.different & ~hidden, 3)
+        sure = eroded((core > 0) & ~c.clear & ~hidden, 3)
         mask = _grab_cut(view.image, maybe & ~hidden, sure)
         return view.with_mask(mask, hidden if hidden.any() else None)
 
@@ -223,8 +72,8 @@ def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
 
     def one(view: View) -> View:
         image = cv2.GaussianBlur(view.image, (0, 0), 1.0).astype(np.float32)
-        edge = np.concatenate([image[:4].reshape(-1, 3), image[-4:].reshape(-1, 3),
-                               image[:, :4].reshape(-1, 3), image[:, -4:].reshape(-1, 3)])  # fmt: skip
+        sides = image[:4], image[-4:], image[:, :4], image[:, -4:]
+        edge = np.concatenate([side.reshape(-1, 3) for side in sides])
         middle = np.median(edge, axis=0)
         noise = 1.5 * np.median(np.abs(edge - middle)) + 1
         off = np.abs(image - middle).max(axis=-1)
@@ -234,7 +83,7 @@ def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
         maybe = off > max(0.25 * level, 4 * noise)
         labels, _ = ndimage.label(maybe)
         reached = np.isin(labels, np.unique(labels[sure & (labels > 0)])) & (labels > 0)
-        return view.with_mask(_grab_cut(view.image, reached, _eroded(sure, 2)))
+        return view.with_mask(_grab_cut(view.image, reached, eroded(sure, 2)))
 
     return consistent(in_threads(one, views, threads=threads), threads=threads)
 
@@ -299,8 +148,8 @@ def consistent(views: Sequence[View], *, rounds: int = 2, threads: int = 1) -> l
             whole = (0, 0, view.camera.width, view.camera.height)
             inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
             hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
-            maybe = _dilated(inside, band) & ~hidden
-            sure = _eroded(inside & ~hidden, band) & (view.shown | _eroded(inside, 4 * band))
+            maybe = dilated(inside, band) & ~hidden
+            sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
             return view.with_mask(_grab_cut(view.image, maybe, sure), view.hidden)
 
         changed = in_threads(one, current, threads=threads)
@@ -354,11 +203,13 @@ def _small_holes_filled(mask: Mask) -> Mask:
     return np.asarray(mask | small[labels])
 
 
-def _eroded(mask: Mask, radius: int) -> Mask:
+def eroded(mask: Mask, radius: int) -> Mask:
+    """The mask without pixels within `radius` of its outline."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
 
 
-def _dilated(mask: Mask, radius: int) -> Mask:
+def dilated(mask: Mask, radius: int) -> Mask:
+    """The mask and all pixels within `radius` of it."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel) > 0)

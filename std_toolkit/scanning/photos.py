@@ -141,9 +141,7 @@ def known_views(photos: Photos, options: KnownCameras, intrinsics: str | None) -
     from std_toolkit.poses.known_cameras import read_known_poses
     from std_toolkit.scene import Frame
 
-    frames = [
-        Frame(id=i, name=p.stem, color=f"color/{p.name}") for i, p in enumerate(photos.paths)
-    ]
+    frames = [Frame(id=i, name=p.stem, color=f"color/{p.name}") for i, p in enumerate(photos.paths)]
     known = read_known_poses(options, frames)
     given = None if intrinsics is None else read_intrinsics(intrinsics)
     views = []
@@ -155,9 +153,9 @@ def known_views(photos: Photos, options: KnownCameras, intrinsics: str | None) -
                 "the file has no intrinsics", path=options.cameras, hint="give --intrinsics"
             )
         whole = image_size(photos.paths[i])
-        camera = Camera(
-            *whole, found.fx, found.fy, found.cx, found.cy, found.distortion
-        ).resized(*photos.size)
+        camera = Camera(*whole, found.fx, found.fy, found.cx, found.cy, found.distortion).resized(
+            *photos.size
+        )
         views.append(make_view(photos, i, camera, T))
     return views
 

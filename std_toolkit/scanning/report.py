@@ -72,7 +72,9 @@ def write_report(folder: Path, scan: Scan) -> Path:
         "tool": f"std-toolkit {__version__}",
         "name": scan.name,
         **{k.replace(" ", "_"): v for k, v in facts.items()},
-        "outline_overlaps": {v.name: round(o, 4) for v, o in zip(scan.views, overlaps, strict=True)},
+        "outline_overlaps": {
+            v.name: round(o, 4) for v, o in zip(scan.views, overlaps, strict=True)
+        },
         "warnings": scan.warnings,
         "seconds": {k: round(v, 1) for k, v in scan.seconds.items()},
     }

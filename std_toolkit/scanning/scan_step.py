@@ -17,17 +17,13 @@ from std_toolkit.geometry import SE3
 from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.log import logger
 from std_toolkit.scanning import photos as photo_files
+from std_toolkit.scanning import candidates as standing
 from std_toolkit.scanning.bake import Texture, bake_texture
 from std_toolkit.scanning.depth_maps import DepthMap, depth_maps
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.masks import (
-    choose_candidate,
-    find_candidates,
-    segment_by_border,
-    segment_on_table,
-    volume_of_masks,
-)
+from std_toolkit.scanning.masks import segment_by_border, segment_on_table, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
 from std_toolkit.scanning.views import Array, Grid, View
@@ -108,6 +104,7 @@ def scan(options: ScanOptions) -> Scan:
     weights = agreeing(views, maps, target, threads=threads)
     fused = fuse(views, maps, weights, hull, grid, threads=threads)
     vertices, faces = closed_mesh(fused.field, grid, options.faces)
+    vertices = fit_outlines(vertices, faces, views, threads=threads)
     lap("surface")
     texture = bake_texture(vertices, faces, views, size=options.texture, threads=threads)
     lap("texture")
@@ -137,6 +134,7 @@ def scan(options: ScanOptions) -> Scan:
 class _Posed:
     views: list[View]
     corners: Array
+    points: Array
     on_table: bool
     facts: dict[str, Any]
     warnings: list[str]
@@ -152,7 +150,7 @@ def _poses(
         digest = digest_of(inputs, [v.P.tolist() for v in views], list(found.size))
         facts = {"poses": f"from {options.known.cameras.name}", "photos": len(views)}
         return _Posed(
-            views=views, corners=np.zeros((0, 3)), on_table=False, facts=facts, warnings=[],
+            views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=False, facts=facts, warnings=[],
             digest=digest, photos=found,
         )  # fmt: skip
     if options.board is None:
@@ -230,7 +228,7 @@ def _poses(
         "scale deviation": f"{100 * deviation:.3f} %",
     }
     return _Posed(
-        views=views, corners=np.asarray(a["corners"]), on_table=True, facts=facts,
+        views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]), on_table=True, facts=facts,
         warnings=warnings, digest=digest, photos=found,
     )  # fmt: skip
 
@@ -246,15 +244,7 @@ def _masks(options: ScanOptions, posed: _Posed, stages: Stages, threads: int) ->
         if not posed.on_table:
             done = segment_by_border(views, threads=threads)
         else:
-            candidates, compared = find_candidates(views, posed.corners, threads=threads)
-            try:
-                chosen = choose_candidate(
-                    candidates, views, pick=_pick(options, posed), box=_box(options, posed)
-                )
-            except ToolkitError:
-                _draw_candidates(options.out / "candidates.jpg", views, candidates)
-                raise
-            done = segment_on_table(views, candidates, chosen, compared, threads=threads)
+            done = _on_table(options, posed, threads)
         out = {f"mask{i}": np.packbits(v.shown) for i, v in enumerate(done)}
         for i, v in enumerate(done):
             if v.hidden is not None:
@@ -273,6 +263,22 @@ def _masks(options: ScanOptions, posed: _Posed, stages: Stages, threads: int) ->
         mask = own.get(view.name, mask)
         done.append(view.with_mask(mask, hidden))
     return [v for v in done if v.shown.any()]
+
+
+def _on_table(options: ScanOptions, posed: _Posed, threads: int) -> list[View]:
+    views = posed.views
+    pick, box = _pick(options, posed), _box(options, posed)
+    found, compared = standing.find_candidates(views, posed.corners, threads=threads)
+    clusters = standing.cluster_points(posed.points, views, pick=pick, box=box)
+    if clusters is not None:
+        found, chosen = clusters
+    else:
+        try:
+            chosen = standing.choose_candidate(found, views, pick=pick, box=box)
+        except ToolkitError:
+            _draw_candidates(options.out / "candidates.jpg", views, found)
+            raise
+    return segment_on_table(views, found, chosen, compared, threads=threads)
 
 
 def _own_masks(folder: Path | None, posed: _Posed) -> dict[str, NDArray[np.bool_]]:
@@ -347,10 +353,8 @@ def _mask_digest(views: Sequence[View]) -> str:
                      [int(v.shown.sum()) for v in views])  # fmt: skip
 
 
-def _hull(
-    views: Sequence[View], grid: Grid, on_table: bool, threads: int
-) -> NDArray[np.float32]:
-    field = hull_field(views, grid, allowed=max(1, len(views) // 24), threads=threads)
+def _hull(views: Sequence[View], grid: Grid, on_table: bool, threads: int) -> NDArray[np.float32]:
+    field = hull_field(views, grid, allowed=len(views) // 40, threads=threads)
     if on_table:
         z = grid.origin[2] + np.arange(grid.shape[0]) * grid.step
         field = np.maximum(field, -z[:, None, None]).astype(np.float32)

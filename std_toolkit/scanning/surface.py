@@ -84,9 +84,7 @@ def agreeing(
             m.contrast[v, u] / 3.0, 0, 1
         )
         weight = np.zeros((h, w), np.float32)
-        weight[v, u] = np.where(
-            votes >= 2, np.minimum(votes, 5) / 5 * (0.1 + certain) * facing, 0
-        )
+        weight[v, u] = np.where(votes >= 2, np.minimum(votes, 5) / 5 * (0.1 + certain) * facing, 0)
         return weight
 
     return in_threads(one, range(len(views)), threads=threads)
@@ -234,7 +232,7 @@ def without_inner_parts(
 def decimated(
     vertices: Array, faces: NDArray[np.int64], count: int
 ) -> tuple[Array, NDArray[np.int64]]:
-    """A closed mesh with at most about `count` faces; closed by manifold3d if decimation tears it."""
+    """A closed mesh of about `count` faces; by manifold3d if quadric decimation tears it."""
     import open3d as o3d
 
     fine = o3d.geometry.TriangleMesh(

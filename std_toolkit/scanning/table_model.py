@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from std_toolkit.scanning.views import Array, Mask, View
 
 _CELL_M = 0.0015
-_MOST_CELLS = 1_500_000
+_MOST_CELLS = 250_000
 _MIN_PHOTOS = 4
 # Grey values: photos that differ less show the table, more show something else.
 _CLEAR = 14.0

@@ -91,7 +91,9 @@ class Grid:
         """The grid of a box with a margin of some voxels on every side."""
         size = np.ceil((high - low) / step).astype(int) + 1 + 2 * margin
         x, y, z = low - margin * step
-        return Grid((float(x), float(y), float(z)), step, (int(size[2]), int(size[1]), int(size[0])))
+        return Grid(
+            (float(x), float(y), float(z)), step, (int(size[2]), int(size[1]), int(size[0]))
+        )
 
     @property
     def count(self) -> int:
