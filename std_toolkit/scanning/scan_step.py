@@ -16,8 +16,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.log import logger
-from std_toolkit.scanning import photos as photo_files
 from std_toolkit.scanning import candidates as standing
+from std_toolkit.scanning import photos as photo_files
 from std_toolkit.scanning.bake import Texture, bake_texture
 from std_toolkit.scanning.depth_maps import DepthMap, depth_maps
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
@@ -150,8 +150,8 @@ def _poses(
         digest = digest_of(inputs, [v.P.tolist() for v in views], list(found.size))
         facts = {"poses": f"from {options.known.cameras.name}", "photos": len(views)}
         return _Posed(
-            views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=False, facts=facts, warnings=[],
-            digest=digest, photos=found,
+            views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=False,
+            facts=facts, warnings=[], digest=digest, photos=found,
         )  # fmt: skip
     if options.board is None:
         raise ToolkitError(
@@ -228,8 +228,8 @@ def _poses(
         "scale deviation": f"{100 * deviation:.3f} %",
     }
     return _Posed(
-        views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]), on_table=True, facts=facts,
-        warnings=warnings, digest=digest, photos=found,
+        views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]),
+        on_table=True, facts=facts, warnings=warnings, digest=digest, photos=found,
     )  # fmt: skip
 
 
