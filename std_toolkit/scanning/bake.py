@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -102,7 +103,8 @@ def unwrap(
     import open3d as o3d
 
     mesh = o3d.t.geometry.TriangleMesh(
-        o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.int64))
+        o3d.core.Tensor.from_numpy(vertices.astype(np.float32)),
+        o3d.core.Tensor.from_numpy(faces.astype(np.int64)),
     )
     # In one partition 20,000 faces take 20 times as long.
     mesh.compute_uvatlas(
@@ -178,7 +180,7 @@ def _soft_mask(view: View) -> NDArray[np.float32]:
     return np.clip((distance - 1.0) / 4.0, 0, 1).astype(np.float32)
 
 
-def _sample(image: NDArray[np.generic], x: NDArray[np.float32], y: NDArray[np.float32]) -> Array:
+def _sample(image: Any, x: NDArray[np.float32], y: NDArray[np.float32]) -> Array:
     # OpenCV's maps have at most 32767 rows.
     columns = 4096
     count = len(x)
@@ -190,7 +192,7 @@ def _sample(image: NDArray[np.generic], x: NDArray[np.float32], y: NDArray[np.fl
     for a in range(0, padded // columns, 30000):
         part = slice(a * columns, min(padded, (a + 30000) * columns))
         out.append(
-            cv2.remap(  # type: ignore[call-overload]
+            cv2.remap(
                 image, mx[part].reshape(-1, columns), my[part].reshape(-1, columns),
                 cv2.INTER_LINEAR,
             ).reshape(-1, *image.shape[2:])

@@ -111,10 +111,10 @@ def calibrate(found: Sequence[BoardDetection], size: tuple[int, int]) -> Camera:
     flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_ASPECT_RATIO
     start = np.array([[1.2 * max(size), 0, size[0] / 2], [0, 1.2 * max(size), size[1] / 2],
                       [0, 0, 1.0]])  # fmt: skip
-    _, K, k, _, _ = cv2.calibrateCamera(  # type: ignore[call-overload]
+    _, K, found_k, _, _ = cv2.calibrateCamera(
         flat, pixels, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
     )
-    k = [float(x) for x in np.asarray(k).ravel()[:4]]
+    k = [float(x) for x in np.asarray(found_k).ravel()[:4]]
     try:
         return Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], tuple(k))
     except ToolkitError as error:
@@ -139,7 +139,7 @@ def board_pose(found: BoardDetection, camera: Camera) -> tuple[SE3, float] | Non
     if not done:
         return None
     rvec, tvec = cv2.solvePnPRefineLM(xyz, xy, np.eye(3), None, rvec, tvec)
-    T = SE3(cv2.Rodrigues(rvec)[0], tvec.ravel())
+    T = SE3(np.asarray(cv2.Rodrigues(rvec)[0], float), np.asarray(tvec, float).ravel())
     error = np.linalg.norm(camera.project(T @ found.xyz) - found.uv, axis=1)
     return T, float(np.nanmedian(error))
 
@@ -262,7 +262,7 @@ def _model(
     model.add_camera_with_trivial_rig(to_colmap_camera(camera, 1, distorted=True))
     chosen = _triangulated(tracks, poses, camera)
     pixels: dict[int, list[Any]] = {i: list(found[i].uv) for i in poses}
-    at = [(xyz, []) for xyz, _, _ in chosen]
+    at: list[tuple[Any, list[Any]]] = [(xyz, []) for xyz, _, _ in chosen]
     for n, (_, frames, seen) in enumerate(chosen):
         for f, p in zip(frames, seen, strict=True):
             at[n][1].append((int(f), len(pixels[int(f)])))

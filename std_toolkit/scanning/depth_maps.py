@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -96,7 +97,7 @@ def depth_maps(
     target = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     chosen = choose_neighbours(views, target, neighbours)
     caster = RayCaster(vertices - target, faces, threads=1)
-    greys = [cv2.GaussianBlur(v.grey(), (0, 0), 0.6) for v in views]
+    greys: list[Any] = [cv2.GaussianBlur(v.grey(), (0, 0), 0.6) for v in views]
     return in_threads(
         lambda i: _one(i, views, greys, chosen[i], caster, target, deepest),
         range(len(views)),
@@ -171,8 +172,8 @@ def _one(
         deepest, iterations=4, seed=index,
     )  # fmt: skip
     size = (x1 - x0, y1 - y0)
-    depth = cv2.resize(coarse[0], size, interpolation=cv2.INTER_NEAREST)
-    turned = cv2.resize(coarse[1], size, interpolation=cv2.INTER_NEAREST)
+    depth: Any = cv2.resize(coarse[0], size, interpolation=cv2.INTER_NEAREST)
+    turned: Any = cv2.resize(coarse[1], size, interpolation=cv2.INTER_NEAREST)
     depth = np.where(depth > 0, depth, start)
     fine = _match(
         greys[index], others, view.camera.K, np.stack([views[j].camera.K for j in chosen]), T,
@@ -198,7 +199,7 @@ def _match(
     others: Sequence[Map],
     K: Array,
     K_others: Array,
-    T: Sequence,  # type: ignore[type-arg]
+    T: Sequence[Any],
     corner: tuple[int, int],
     mask: NDArray[np.uint8],
     start: Map,

@@ -118,7 +118,7 @@ def surface_of(field: NDArray[np.float32], grid: Grid) -> tuple[Array, NDArray[n
 
     closed = np.pad(field, 1, constant_values=np.float32(grid.step))
     closed[closed == 0] = 1e-9
-    mesh = o3d.t.geometry.TriangleMesh.create_isosurfaces(o3d.core.Tensor(closed), [0.0])
+    mesh = o3d.t.geometry.TriangleMesh.create_isosurfaces(o3d.core.Tensor.from_numpy(closed), [0.0])
     if "positions" not in mesh.vertex or len(mesh.vertex.positions) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     vertices = mesh.vertex.positions.numpy().astype(np.float64) - 1

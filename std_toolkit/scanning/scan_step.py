@@ -26,6 +26,7 @@ from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
+from std_toolkit.scanning.underside import flatten_unseen
 from std_toolkit.scanning.views import Array, Grid, View
 from std_toolkit.scanning.write_model import write_model
 from std_toolkit.scene.document import digest_file, digest_of
@@ -105,6 +106,10 @@ def scan(options: ScanOptions) -> Scan:
     fused = fuse(views, maps, weights, hull, grid, threads=threads)
     vertices, faces = closed_mesh(fused.field, grid, options.faces)
     vertices = fit_outlines(vertices, faces, views, threads=threads)
+    if not posed.on_table:
+        vertices, flattened = flatten_unseen(vertices, faces, views)
+        if flattened:
+            posed.facts["closed by a plane"] = f"{100 * flattened:.0f} % of the surface, unseen"
     lap("surface")
     texture = bake_texture(vertices, faces, views, size=options.texture, threads=threads)
     lap("texture")

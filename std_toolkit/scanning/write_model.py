@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,8 @@ def _glb(vertices: Array, faces: NDArray[np.int64], texture: Texture) -> bytes:
     mesh = trimesh.Trimesh(
         vertices[unique[:, 0].astype(np.int64)], index.reshape(-1, 3), visual=visual, process=False
     )
-    return bytes(mesh.export(file_type="glb"))
+    data: Any = mesh.export(file_type="glb")
+    return bytes(data)
 
 
 def _ply(vertices: Array, faces: NDArray[np.int64], texture: Texture) -> bytes:
@@ -85,4 +87,5 @@ def _ply(vertices: Array, faces: NDArray[np.int64], texture: Texture) -> bytes:
     color = np.full((len(vertices), 3), 128, np.uint8)
     color[faces.ravel()] = texture.image[row, column].reshape(-1, 3)
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=color, process=False)
-    return bytes(mesh.export(file_type="ply"))
+    data: Any = mesh.export(file_type="ply")
+    return bytes(data)
