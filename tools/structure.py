@@ -27,7 +27,8 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
         ("errors",),
-        ("compiled", "log", "options", "plugins"),
+        ("log", "options", "plugins"),
+        ("compiled",),
         ("",),
         ("geometry", "io", "jobs"),
         ("cameras", "html", "scene"),
