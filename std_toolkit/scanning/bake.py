@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.compiled import compiled
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.scanning.depth_maps import hull_depth
 from std_toolkit.scanning.views import Array, View, in_threads
 
 # Photos that look at a surface from more aside show it too compressed.
@@ -77,11 +78,19 @@ def bake_texture(
     gains = exposures(corners.mean(axis=1), _face_normals(corners), views, caster, threads)
     total = np.zeros((len(places), 3))
     weight = np.zeros(len(places))
+    middle, facing = corners.mean(axis=1), _face_normals(corners)
+    seen = np.zeros(len(faces), np.int64)
     for view, gain in zip(views, gains, strict=True):
-        color, w = _seen_from(view, places, normal, caster)
+        depth = _depth_of(view, caster)
+        _, w = _seen_from(view, middle, facing, depth)
+        seen += w > 0
+        # Texels of faces that are turned away need no further look.
+        towards = ((view.centre - middle) * facing).sum(axis=1) > 0
+        turned = np.flatnonzero(towards[chosen])
+        color, w = _seen_from(view, places[turned], normal[turned], depth)
         w = w**_SHARPNESS
-        total += color / gain * w[:, None]
-        weight += w
+        total[turned] += color / gain * w[:, None]
+        weight[turned] += w
     image = np.full((size, size, 3), _UNSEEN_GREY, np.uint8)
     some = weight > 0
     image[rows[some], columns[some]] = np.clip(
@@ -89,10 +98,6 @@ def bake_texture(
     ).astype(np.uint8)
     filled = np.zeros((size, size), bool)
     filled[rows[some], columns[some]] = True
-    seen = np.zeros(len(faces), np.int64)
-    for view in views:
-        _, w = _seen_from(view, corners.mean(axis=1), _face_normals(corners), caster)
-        seen += w > 0
     return Texture(uv, _spread(image, filled), seen, gains)
 
 
@@ -129,7 +134,9 @@ def exposures(
     """(V, 3) brightness of each photo relative to the mean of those that show the same places."""
     step = max(1, len(places) // 6000)
     places, normals = places[::step], normals[::step]
-    seen = in_threads(lambda v: _seen_from(v, places, normals, caster), views, threads=threads)
+    seen = in_threads(
+        lambda v: _seen_from(v, places, normals, _depth_of(v, caster)), views, threads=threads
+    )
     color = np.stack([c for c, _ in seen])
     weight = np.stack([w for _, w in seen])
     gains = np.ones((len(views), 3))
@@ -144,8 +151,16 @@ def exposures(
     return np.clip(gains, 0.3, 3.0)
 
 
+def _depth_of(view: View, caster: RayCaster) -> NDArray[np.float32]:
+    """(H, W) z-depth of the surface, the furthest of 3x3 pixels; infinite beside it."""
+    whole = (0, 0, view.camera.width, view.camera.height)
+    depth, _ = hull_depth(view, caster, np.zeros(3), whole)
+    far = np.where(depth > 0, depth, np.float32(np.inf))
+    return np.asarray(cv2.dilate(far, np.ones((3, 3), np.uint8)), np.float32)
+
+
 def _seen_from(
-    view: View, places: Array, normals: Array, caster: RayCaster
+    view: View, places: Array, normals: Array, depth: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Colours (N, 3) of places in a photo and weights (N,), 0 where it does not show them."""
     uv, z = view.project(places)
@@ -163,10 +178,9 @@ def _seen_from(
     x, y = (uv[index].T).astype(np.float32)
     # The mask loses weight towards the outline, where the photo mixes object and background.
     inside = _soft_mask(view)
-    # A ray to the place must not meet the surface before it.
-    rays = np.concatenate([np.broadcast_to(view.centre, (len(index), 3)), ray[index]], axis=1)
-    away = np.linalg.norm(places[index] - view.centre, axis=1)
-    free = caster.cast(rays).distance > away - 0.0015 - 0.002 * away
+    # The surface that the photo shows there is not nearer.
+    column, row = np.rint(uv[index].T).astype(np.int64)
+    free = z[index] < depth[row, column] + 0.0008 + 0.002 * z[index]
     value = _sample(view.image, x, y)
     soft = _sample(inside, x, y)
     weight[index] = free * facing[index] * soft * (view.camera.fx / z[index]) / 1000

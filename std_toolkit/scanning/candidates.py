@@ -37,6 +37,8 @@ class Candidate:
         low, high: (3,) corners of its bounding box, world.
         volume: cubic metres of its coarse hull.
         vertices, faces: surface of its coarse hull.
+        outer: surface of all that may belong to it: also what is above the hull and stands before
+            no known table in any photo. None for the hull with a margin.
     """
 
     low: Array
@@ -44,6 +46,7 @@ class Candidate:
     volume: float
     vertices: Array
     faces: NDArray[np.int64]
+    outer: tuple[Array, NDArray[np.int64]] | None = None
 
 
 def find_candidates(
@@ -68,12 +71,17 @@ def find_candidates(
     box = np.array([*(high - low), tallest])
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
     grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
-    inside = _not_carved(views, compared, grid)
-    return _split(inside, grid), compared
+    inside, possible = _not_carved(views, compared, grid)
+    return _split(inside, possible, grid), compared
 
 
-def _not_carved(views: Sequence[View], compared: Sequence[Comparison], grid: Grid) -> Mask:
-    """Voxels that stand before the bare table in few photos, and before another colour in more."""
+def _not_carved(
+    views: Sequence[View], compared: Sequence[Comparison], grid: Grid
+) -> tuple[Mask, Mask]:
+    """Voxels that hide the table in several photos, and voxels that may do.
+
+    Both stand before the bare table in few photos.
+    """
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
     points = grid.points(index.reshape(-1, 3))
     clear = np.zeros(len(points), np.int16)
@@ -95,11 +103,11 @@ def _not_carved(views: Sequence[View], compared: Sequence[Comparison], grid: Gri
         whole = cv2.erode(c.clear.astype(np.uint8), kernel) > 0
         clear[ok] += whole[yi, xi]
         different[ok] += c.different[yi, xi]
-    found = (different >= 3) & (clear <= np.maximum(1, 0.12 * different))
-    return np.asarray(found.reshape(grid.shape))
+    possible = (clear <= np.maximum(1, 0.12 * different)).reshape(grid.shape)
+    return possible & (different.reshape(grid.shape) >= 3), possible
 
 
-def _split(inside: Mask, grid: Grid) -> list[Candidate]:
+def _split(inside: Mask, possible: Mask, grid: Grid) -> list[Candidate]:
     """Connected parts of the coarse hull that begin near the table, largest first."""
     labels, _ = ndimage.label(inside)
     found = []
@@ -114,9 +122,26 @@ def _split(inside: Mask, grid: Grid) -> list[Candidate]:
         local = Grid(tuple(corner), grid.step, part.shape)
         field = np.where(part, -grid.step, grid.step).astype(np.float32)
         vertices, faces = surface_of(field, local)
-        found.append(Candidate(vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces))
+        found.append(
+            Candidate(
+                vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces,
+                _outer(labels == n, possible, grid),
+            )
+        )  # fmt: skip
     found.sort(key=lambda c: -c.volume)
     return [c for c in found if c.volume > _SMALL * found[0].volume]
+
+
+def _outer(part: Mask, possible: Mask, grid: Grid) -> tuple[Array, NDArray[np.int64]]:
+    """Surface of a part with a margin, and of the possible voxels above it."""
+    near = ndimage.binary_dilation(part, iterations=2)
+    footprint = near.any(axis=0)
+    above = possible & footprint[None]
+    # Below its top, the part itself is the limit.
+    top = int(np.flatnonzero(part.any(axis=(1, 2)))[-1])
+    above[: max(0, top - 2)] = False
+    field = np.where(near | above, -grid.step, grid.step).astype(np.float32)
+    return surface_of(field, grid)
 
 
 def choose_candidate(

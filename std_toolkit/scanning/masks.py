@@ -43,7 +43,9 @@ def segment_on_table(
     target = candidates[chosen]
     others = [c for i, c in enumerate(candidates) if i != chosen]
     middle = (target.low + target.high) / 2
-    caster = RayCaster(middle + _OUTER * (target.vertices - middle), target.faces, threads=1)
+    grown = middle + _OUTER * (target.vertices - middle), target.faces
+    likely = RayCaster(*grown, threads=1)
+    caster = RayCaster(*(target.outer or grown), threads=1)
     exact = RayCaster(middle + _INNER * (target.vertices - middle), target.faces, threads=1)
     before = None
     if others:
@@ -62,7 +64,8 @@ def segment_on_table(
             hidden = (other > 0) & (other < depth) & (depth > 0)
         maybe = (depth > 0) & ~c.clear
         sure = eroded((core > 0) & ~c.clear & ~hidden, 3)
-        mask = _grab_cut(view.image, maybe & ~hidden, sure)
+        near = hull_depth(view, likely, np.zeros(3), whole)[0] > 0
+        mask = _grab_cut(view.image, maybe & ~hidden, sure, unlikely=~near & ~c.different)
         return view.with_mask(mask, hidden if hidden.any() else None)
 
     return consistent(in_threads(one, range(len(views)), threads=threads), threads=threads)
@@ -163,8 +166,13 @@ def consistent(views: Sequence[View], *, rounds: int = 2, threads: int = 1) -> l
     return current
 
 
-def _grab_cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask) -> Mask:
-    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`."""
+def _grab_cut(
+    image: NDArray[np.uint8], maybe: Mask, sure: Mask, unlikely: Mask | None = None
+) -> Mask:
+    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`.
+
+    The colours of `unlikely` pixels do not count as those of the object to begin with.
+    """
     rows, columns = np.flatnonzero(maybe.any(axis=1)), np.flatnonzero(maybe.any(axis=0))
     result = np.zeros(maybe.shape, bool)
     if len(rows) < 3 or len(columns) < 3 or sure.sum() < 30:
@@ -175,6 +183,8 @@ def _grab_cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask) -> Mask:
     window = (slice(y0, y1), slice(x0, x1))
     state = np.full((y1 - y0, x1 - x0), cv2.GC_BGD, np.uint8)
     state[maybe[window]] = cv2.GC_PR_FGD
+    if unlikely is not None:
+        state[(maybe & unlikely)[window]] = cv2.GC_PR_BGD
     state[sure[window]] = cv2.GC_FGD
     if (state == cv2.GC_BGD).sum() < 30:
         return np.asarray(maybe)
