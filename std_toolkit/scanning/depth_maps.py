@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.compiled import compiled
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.plugins import Registry
 from std_toolkit.scanning.views import Array, View, in_threads
 
 Map = NDArray[np.float32]
@@ -45,6 +46,27 @@ class DepthMap:
     normal: Map
     cost: Map
     contrast: Map
+
+
+class DepthEngine(Protocol):
+    """Makes the depth maps of a scan; `depth_maps` of this module is the built-in one."""
+
+    def __call__(
+        self,
+        views: Sequence[View],
+        hull: tuple[Array, NDArray[np.int64]],
+        *,
+        deepest: float,
+        neighbours: int,
+        threads: int,
+    ) -> list[DepthMap | None]:
+        """Depth maps in the order of the photos; arguments as of `depth_maps`."""
+        ...
+
+
+ENGINES: Registry[DepthEngine] = Registry(
+    "std_toolkit.scan_depth", {"patchmatch": "std_toolkit.scanning.depth_maps:depth_maps"}
+)
 
 
 def choose_neighbours(views: Sequence[View], target: Array, count: int) -> list[list[int]]:

@@ -45,6 +45,8 @@ class ScanOptions:
     """number of voxels along the longest side of the object"""
     neighbours: Annotated[int, msgspec.Meta(ge=2, le=20)] = 6
     """number of photos that each photo is compared with for depth"""
+    depth: str = "patchmatch"
+    """engine of the depth maps: patchmatch, an installed plug-in, or file.py:NAME"""
     max_features: Annotated[int, msgspec.Meta(ge=100)] = 4000
     """SIFT features per photo"""
     image_size: Annotated[int, msgspec.Meta(ge=320)] = 1600

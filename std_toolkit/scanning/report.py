@@ -139,7 +139,13 @@ def _advice(scan: Scan, share: NDArray[np.float64], overlaps: list[float]) -> li
     if guessed > 0.3:
         found.append(
             f"{100 * guessed:.0f} % of the surface has too little texture for depth and is that "
-            "of the outlines: hollows there are filled; more photos make outlines finer"
+            "of the outlines: hollows there are filled; more photos make outlines finer. Is the "
+            "object glass or polished metal? Spray it matt and photograph it again"
+        )
+    poor = [v.name for v, o in zip(scan.views, overlaps, strict=True) if o < 0.75]
+    if len(poor) >= 3:
+        found.append(
+            f"did the object move? {len(poor)} photos do not fit the others: {', '.join(poor[:5])}"
         )
     bad = [v.name for v, o in zip(scan.views, overlaps, strict=True) if o < 0.9]
     if bad:

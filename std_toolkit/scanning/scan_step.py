@@ -19,7 +19,7 @@ from std_toolkit.log import logger
 from std_toolkit.scanning import candidates as standing
 from std_toolkit.scanning import photos as photo_files
 from std_toolkit.scanning.bake import Texture, bake_texture
-from std_toolkit.scanning.depth_maps import DepthMap, depth_maps
+from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine, DepthMap
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks import segment_by_border, segment_on_table, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
@@ -85,6 +85,7 @@ def scan(options: ScanOptions) -> Scan:
         began = time.perf_counter()
         logger.info("%s: %.0f s", name, seconds[name])
 
+    engine = ENGINES.get(options.depth)
     found = photo_files.find_photos(options.photos, work, longest=options.image_size)
     inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
     posed = _poses(options, found, stages, work, inputs)
@@ -98,8 +99,10 @@ def scan(options: ScanOptions) -> Scan:
     grid = Grid.around(low, high, longest / options.voxels)
     hull = _hull(views, grid, posed.on_table, threads)
     lap("hull")
-    key = digest_of(posed.digest, _mask_digest(views), options.voxels, options.neighbours)
-    maps = _depth(views, hull, grid, longest, options.neighbours, stages, key, threads)
+    key = digest_of(
+        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth
+    )
+    maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
     lap("depth maps")
     target = (low + high) / 2
     weights = agreeing(views, maps, target, threads=threads)
@@ -374,6 +377,7 @@ def _hull(views: Sequence[View], grid: Grid, on_table: bool, threads: int) -> ND
 
 
 def _depth(
+    engine: DepthEngine,
     views: Sequence[View],
     hull: NDArray[np.float32],
     grid: Grid,
@@ -386,7 +390,7 @@ def _depth(
     surface = surface_of(hull, grid)
 
     def make() -> dict[str, Any]:
-        maps = depth_maps(
+        maps = engine(
             views, surface, deepest=_DEEPEST * longest, neighbours=neighbours, threads=threads
         )
         out: dict[str, Any] = {}
