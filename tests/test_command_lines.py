@@ -15,8 +15,8 @@ from benchmark.cli import bench, report, restore, train
 from sensors.record import cli as record
 from sensors.simulation import cli as simulate
 from std_toolkit.cli import main as curate
+from std_toolkit.cli import scanning as scan
 from std_toolkit.cli.command import Command, Program
-from std_toolkit.scanning import cli as scan
 
 MODULES = (curate, bench, train, report, restore, simulate, annotate, record, scan)
 PROGRAMS: tuple[Program, ...] = tuple(module.PROGRAM for module in MODULES)

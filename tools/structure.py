@@ -38,7 +38,6 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("scanning",),
         ("checks",),
         ("cli",),
-        ("scanning",),
     ),
     "annotator": (
         ("", "options", "startup"),
