@@ -220,13 +220,19 @@ def without_inner_parts(
     vertices: Array, faces: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
     """The component with the largest volume: closed cavities inside are artefacts."""
-    import trimesh
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
 
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.merge_vertices()
-    parts = mesh.split(only_watertight=False)
-    best = max(parts, key=lambda p: float(np.ptp(p.vertices, axis=0).prod()))
-    return np.asarray(best.vertices), np.asarray(best.faces)
+    ends = np.concatenate([faces[:, 0], faces[:, 1]]), np.concatenate([faces[:, 1], faces[:, 2]])
+    graph = coo_matrix((np.ones(len(ends[0]), np.int8), ends), shape=(len(vertices),) * 2)
+    count, label = connected_components(graph, directed=False)
+    corner = vertices[faces]
+    volume = np.einsum("ni,ni->n", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
+    total = np.bincount(label[faces[:, 0]], volume, minlength=count)
+    # Cavities have a negative volume.
+    kept = label == total.argmax()
+    number = np.cumsum(kept) - 1
+    return vertices[kept], number[faces[kept[faces[:, 0]]]]
 
 
 def decimated(
