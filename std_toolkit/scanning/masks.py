@@ -163,6 +163,37 @@ def consistent(views: Sequence[View], *, rounds: int = 2, threads: int = 1) -> l
         ]
         current = changed
         logger.info("masks: round %d changed %.1f %% of them", n + 1, 100 * float(np.mean(moved)))
+    return with_hidden(current, threads=threads)
+
+
+def with_hidden(views: Sequence[View], *, rounds: int = 3, threads: int = 1) -> list[View]:
+    """Photos in which what hides the object from them is marked.
+
+    Where a mask lacks a thick part of the hull on which most other photos agree, something stands
+    before it. Marked as hidden, the part does not carve the hull.
+    """
+    current = list(views)
+    for _ in range(rounds):
+        low, high = volume_of_masks(current)
+        step = float(((high - low).prod() / 300_000) ** (1 / 3))
+        grid = Grid.around(low, high, step)
+        field = hull_field(current, grid, allowed=max(1, len(current) // 8), threads=threads)
+        field = np.where(largest_component(field < 0) | (field >= 0), field, step)
+        caster = RayCaster(*surface_of(field.astype(np.float32), grid), threads=1)
+
+        def one(view: View, caster: RayCaster = caster) -> View:
+            whole = (0, 0, view.camera.width, view.camera.height)
+            inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
+            radius = max(2, round(0.02 * float(np.sqrt(inside.sum()))))
+            thick = eroded(inside & ~view.possible, radius)
+            if not thick.any():
+                return view
+            hidden = dilated(thick, 2 * radius + 2) & ~view.shown
+            return view.with_mask(
+                view.shown, hidden if view.hidden is None else hidden | view.hidden
+            )
+
+        current = in_threads(one, current, threads=threads)
     return current
 
 
