@@ -32,7 +32,7 @@ def write_model(
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = {s: folder / f"{name}.{s}" for s in ("obj", "mtl", "png", "glb", "ply")}
-    write_png(paths["png"], texture.image, compression=6)
+    write_png(paths["png"], texture.image)
     material = f"newmtl {name}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd {paths['png'].name}\n"
     write_bytes_atomic(paths["mtl"], material.encode())
     write_bytes_atomic(paths["obj"], _obj(name, vertices, faces, texture))
