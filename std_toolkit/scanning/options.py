@@ -37,6 +37,9 @@ class ScanOptions:
     """PHOTO:x,y a pixel of the object, where several stand on the board"""
     box: str | None = None
     """PHOTO:x0,y0,x1,y1 a box around the object, where several stand on the board"""
+    revolve: bool = False
+    """fit a surface of revolution to the outlines: for unsprayed vessels of glass or metal, without
+    handles"""
     faces: Annotated[int, msgspec.Meta(ge=100, le=2_000_000)] = 20_000
     """number of faces of the mesh"""
     texture: Annotated[int, msgspec.Meta(ge=64, le=8192)] = 2048

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks import segment_by_border, segment_on_table, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
+from std_toolkit.scanning.revolve import OutlineView, fit_revolution
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
 from std_toolkit.scanning.underside import flatten_unseen
@@ -92,31 +93,13 @@ def scan(options: ScanOptions) -> Scan:
     lap("poses")
     views = _masks(options, posed, stages, threads)
     lap("masks")
-    low, high = volume_of_masks(views)
-    if posed.on_table:
-        low[2] = 0.0
-    longest = float((high - low).max())
-    grid = Grid.around(low, high, longest / options.voxels)
-    hull = _hull(views, grid, posed.on_table, threads)
-    lap("hull")
-    key = digest_of(
-        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth
-    )
-    maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
-    lap("depth maps")
-    target = (low + high) / 2
-    weights = agreeing(views, maps, target, threads=threads)
-    fused = fuse(views, maps, weights, hull, grid, threads=threads)
-    vertices, faces = closed_mesh(fused.field, grid, options.faces)
-    vertices = fit_outlines(vertices, faces, views, threads=threads)
-    if not posed.on_table:
-        vertices, flattened = flatten_unseen(vertices, faces, views)
-        if flattened:
-            posed.facts["closed by a plane"] = f"{100 * flattened:.0f} % of the surface, unseen"
+    if options.revolve:
+        vertices, faces, support = _revolved(views, posed)
+    else:
+        vertices, faces, support = _fused(options, posed, views, engine, stages, threads, lap)
     lap("surface")
     texture = bake_texture(vertices, faces, views, size=options.texture, threads=threads)
     lap("texture")
-    support = _at(fused.support, grid, vertices[faces].mean(axis=1))
     T_model_world = SE3.identity()
     if posed.on_table:
         middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
@@ -239,6 +222,60 @@ def _poses(
         views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]),
         on_table=True, facts=facts, warnings=warnings, digest=digest, photos=found,
     )  # fmt: skip
+
+
+def _fused(
+    options: ScanOptions,
+    posed: _Posed,
+    views: Sequence[View],
+    engine: DepthEngine,
+    stages: Stages,
+    threads: int,
+    lap: Callable[[str], None],
+) -> tuple[Array, NDArray[np.int64], NDArray[np.float32]]:
+    """Vertices, faces and the support of the faces by depth maps."""
+    low, high = volume_of_masks(views)
+    if posed.on_table:
+        low[2] = 0.0
+    longest = float((high - low).max())
+    grid = Grid.around(low, high, longest / options.voxels)
+    hull = _hull(views, grid, posed.on_table, threads)
+    lap("hull")
+    key = digest_of(
+        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth
+    )
+    maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
+    lap("depth maps")
+    target = (low + high) / 2
+    weights = agreeing(views, maps, target, threads=threads)
+    fused = fuse(views, maps, weights, hull, grid, threads=threads)
+    vertices, faces = closed_mesh(fused.field, grid, options.faces)
+    vertices = fit_outlines(vertices, faces, views, threads=threads)
+    if not posed.on_table:
+        vertices, flattened = flatten_unseen(vertices, faces, views)
+        if flattened:
+            posed.facts["closed by a plane"] = f"{100 * flattened:.0f} % of the surface, unseen"
+    return vertices, faces, _at(fused.support, grid, vertices[faces].mean(axis=1))
+
+
+def _revolved(
+    views: Sequence[View], posed: _Posed
+) -> tuple[Array, NDArray[np.int64], NDArray[np.float32]]:
+    """Vertices and faces of the surface of revolution that fits the outlines; no depth supports it.
+
+    Raises:
+        ToolkitError: without a board, or the object is no surface of revolution.
+    """
+    if not posed.on_table:
+        raise ToolkitError("needs the board, which tells what is upright", field="--revolve")
+    found = fit_revolution([OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views])
+    posed.facts["outline residual"] = f"{found.outline_px:.2f} px"
+    posed.facts["outline left out"] = f"{100 * found.outside:.1f} %"
+    posed.facts["deviation of the radii"] = f"{1000 * float(np.median(found.deviation_m)):.2f} mm"
+    posed.facts["wall"] = f"{1000 * found.wall_m:.1f} mm" + ("" if found.wall_seen else ", guessed")
+    posed.warnings.extend(found.warnings)
+    vertices, faces = found.mesh()
+    return vertices, faces, np.zeros(len(faces), np.float32)
 
 
 def _masks(options: ScanOptions, posed: _Posed, stages: Stages, threads: int) -> list[View]:

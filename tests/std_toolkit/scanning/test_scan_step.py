@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +146,25 @@ def test_the_board_gives_intrinsics_and_poses() -> None:
     T, error = result
     assert error < 0.01
     assert np.allclose(T.inverse().t, poses[0].t, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_ball_is_a_surface_of_revolution() -> None:
+    shift = SE3(np.eye(3), np.array([0, 0, RADIUS - CENTRE[2]]))
+    views = [replace(v, T_world_cam=shift @ v.T_world_cam) for v in ball_views(12)]
+    posed = scan_step._Posed(
+        views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=True, facts={},
+        warnings=[], digest="", photos=scan_step.photo_files.Photos((), (), (160, 120), 1.0),
+    )  # fmt: skip
+    vertices, faces, support = scan_step._revolved(views, posed)
+    assert not support.any()
+    assert len(support) == len(faces)
+    assert np.linalg.norm(vertices[:, :2] - CENTRE[:2], axis=1).max() == pytest.approx(
+        RADIUS, abs=0.0006
+    )
+    assert "outline residual" in posed.facts
+    with pytest.raises(ToolkitError, match="needs the board"):
+        scan_step._revolved(views, replace(posed, on_table=False))
 
 
 def test_blurred_photos_are_found(tmp_path: Path) -> None:
