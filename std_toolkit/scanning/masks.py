@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -68,7 +69,11 @@ def segment_on_table(
         mask = _grab_cut(view.image, maybe & ~hidden, sure, unlikely=~near & ~c.different)
         return view.with_mask(mask, hidden if hidden.any() else None)
 
-    return consistent(in_threads(one, range(len(views)), threads=threads), threads=threads)
+    never = [c.clear for c in compared]
+    done = consistent(
+        in_threads(one, range(len(views)), threads=threads), never=never, threads=threads
+    )
+    return with_hidden(done, never, threads=threads) if others else done
 
 
 def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
@@ -127,11 +132,23 @@ def volume_of_masks(views: Sequence[View]) -> tuple[Array, Array]:
     return points.min(axis=0) - 1.5 * grid.step, points.max(axis=0) + 1.5 * grid.step
 
 
-def consistent(views: Sequence[View], *, rounds: int = 2, threads: int = 1) -> list[View]:
+def consistent(
+    views: Sequence[View],
+    *,
+    never: Sequence[Mask] | None = None,
+    rounds: int = 2,
+    threads: int = 1,
+) -> list[View]:
     """Photos whose masks agree with the visual hull of all of them.
 
     A pixel that the hull covers although its photo's mask does not, or the reverse, is decided
     anew by colour.
+
+    Args:
+        views: photos with masks.
+        never: pixels (H, W) of each photo that do not show the object.
+        rounds: number of repetitions.
+        threads: number of threads.
     """
     current = list(views)
     for n in range(rounds):
@@ -148,25 +165,30 @@ def consistent(views: Sequence[View], *, rounds: int = 2, threads: int = 1) -> l
             )
         caster = RayCaster(vertices, faces, threads=1)
 
-        def one(view: View, caster: RayCaster = caster, band: int = 5 - n) -> View:
+        def one(i: int, caster: RayCaster = caster, band: int = 5 - n, now: Any = current) -> View:
+            view = now[i]
             whole = (0, 0, view.camera.width, view.camera.height)
             inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
             hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
             maybe = dilated(inside, band) & ~hidden
+            if never is not None:
+                maybe &= ~never[i]
             sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
             return view.with_mask(_grab_cut(view.image, maybe, sure), view.hidden)
 
-        changed = in_threads(one, current, threads=threads)
+        changed = in_threads(one, range(len(current)), threads=threads)
         moved = [
             float((a.shown ^ b.shown).sum()) / max(1, b.shown.sum())
             for a, b in zip(changed, current, strict=True)
         ]
         current = changed
         logger.info("masks: round %d changed %.1f %% of them", n + 1, 100 * float(np.mean(moved)))
-    return with_hidden(current, threads=threads)
+    return current
 
 
-def with_hidden(views: Sequence[View], *, rounds: int = 3, threads: int = 1) -> list[View]:
+def with_hidden(
+    views: Sequence[View], never: Sequence[Mask], *, rounds: int = 3, threads: int = 1
+) -> list[View]:
     """Photos in which what hides the object from them is marked.
 
     Where a mask lacks a thick part of the hull on which most other photos agree, something stands
@@ -181,19 +203,20 @@ def with_hidden(views: Sequence[View], *, rounds: int = 3, threads: int = 1) -> 
         field = np.where(largest_component(field < 0) | (field >= 0), field, step)
         caster = RayCaster(*surface_of(field.astype(np.float32), grid), threads=1)
 
-        def one(view: View, caster: RayCaster = caster) -> View:
+        def one(i: int, caster: RayCaster = caster, now: Any = current) -> View:
+            view = now[i]
             whole = (0, 0, view.camera.width, view.camera.height)
             inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
             radius = max(2, round(0.02 * float(np.sqrt(inside.sum()))))
-            thick = eroded(inside & ~view.possible, radius)
+            thick = eroded(inside & ~view.possible & ~never[i], radius)
             if not thick.any():
                 return view
-            hidden = dilated(thick, 2 * radius + 2) & ~view.shown
+            hidden = dilated(thick, 2 * radius + 2) & ~view.shown & ~never[i]
             return view.with_mask(
                 view.shown, hidden if view.hidden is None else hidden | view.hidden
             )
 
-        current = in_threads(one, current, threads=threads)
+        current = in_threads(one, range(len(current)), threads=threads)
     return current
 
 

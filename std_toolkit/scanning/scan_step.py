@@ -283,7 +283,7 @@ def _masks(options: ScanOptions, posed: _Posed, stages: Stages, threads: int) ->
     own = _own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 3")
+    key = digest_of(posed.digest, options.pick, options.box, "masks 4")
 
     def make() -> dict[str, Any]:
         if not posed.on_table:
