@@ -15,9 +15,10 @@ from benchmark.cli import bench, report, restore, train
 from sensors.record import cli as record
 from sensors.simulation import cli as simulate
 from std_toolkit.cli import main as curate
+from std_toolkit.cli import scanning as scan
 from std_toolkit.cli.command import Command, Program
 
-MODULES = (curate, bench, train, report, restore, simulate, annotate, record)
+MODULES = (curate, bench, train, report, restore, simulate, annotate, record, scan)
 PROGRAMS: tuple[Program, ...] = tuple(module.PROGRAM for module in MODULES)
 COMMANDS = [(program, command) for program in PROGRAMS for command in program.commands]
 

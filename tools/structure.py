@@ -28,6 +28,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
         ("errors",),
         ("log", "options", "plugins"),
+        ("compiled",),
         ("",),
         ("geometry", "io", "jobs"),
         ("cameras", "html", "scene"),

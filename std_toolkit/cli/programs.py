@@ -21,6 +21,7 @@ PROGRAMS: dict[str, str] = {
     "std-record": "sensors.record.cli",
     "std-report": "benchmark.cli.report",
     "std-restore": "benchmark.cli.restore",
+    "std-scan": "std_toolkit.cli.scanning",
     "std-sim": "sensors.simulation.cli",
     "std-train": "benchmark.cli.train",
 }
@@ -61,6 +62,11 @@ def report() -> int:
 def restore() -> int:
     """`std-restore`."""
     return run("std-restore")
+
+
+def scan() -> int:
+    """`std-scan`."""
+    return run("std-scan")
 
 
 def simulate() -> int:

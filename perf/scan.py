@@ -1,0 +1,208 @@
+"""Scans against the truth: `python perf/scan.py [dino] [mustard] [TURNTABLE ...] [--work DIR]`.
+
+dino        the ring of 16 photos with known cameras: outline overlap, extent
+mustard     the real mustard bottle among other things, against its YCB mesh
+TURNTABLE   folder of `std-sim turntable`: photos/, board.json and truth mesh, poses not given
+
+Prints one row per scan: accuracy is mesh to truth, completeness truth to mesh, both on what a
+camera saw, after rigid alignment; scale is that of a similarity fitted afterwards.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("STD_TEST_DATA", REPOSITORY.parent / "shared" / "data"))
+DINO_BOX = np.array([[-0.061897, -0.018874, -0.057845], [0.010897, 0.068227, 0.015495]])
+_SAMPLES = 60_000
+
+
+def align(scan: np.ndarray, truth: Any, starts: int = 24) -> tuple[np.ndarray, float]:
+    """(4, 4) rigid motion of points (N, 3) onto a mesh, best of many turns, and the scale left."""
+    from std_toolkit.geometry import umeyama
+    from std_toolkit.geometry.ray_caster import RayCaster
+
+    middle = np.asarray(truth.bounds).mean(axis=0)
+    caster = RayCaster(truth.vertices - middle, truth.faces)
+    cloud = scan[:: max(1, len(scan) // 4000)]
+    centre = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
+    best, lowest = np.eye(4), np.inf
+    flips = (np.eye(3), np.diag([1.0, -1.0, -1.0]))
+    for n in range(starts):
+        a = 2 * np.pi * (n // 2) / (starts // 2)
+        turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+        T = np.eye(4)
+        T[:3, :3] = turn @ flips[n % 2]
+        T[:3, 3] = -T[:3, :3] @ centre
+        for _ in range(40):
+            p = cloud @ T[:3, :3].T + T[:3, 3]
+            q, _ = caster.closest(p)
+            off = np.linalg.norm(p - q, axis=1)
+            near = off <= np.percentile(off, 85)
+            step = umeyama(p[near], q[near].astype(np.float64), with_scale=False)
+            T = step.matrix() @ T
+        error = float(np.median(off))
+        if error < lowest:
+            best, lowest = T, error
+    T = best
+    for _ in range(60):
+        p = scan @ T[:3, :3].T + T[:3, 3]
+        q, _ = caster.closest(p)
+        off = np.linalg.norm(p - q, axis=1)
+        near = off <= np.percentile(off, 90)
+        T = umeyama(p[near], q[near].astype(np.float64), with_scale=False).matrix() @ T
+    scaled = T.copy()
+    for _ in range(60):
+        p = scan @ scaled[:3, :3].T + scaled[:3, 3]
+        q, _ = caster.closest(p)
+        off = np.linalg.norm(p - q, axis=1)
+        near = off <= np.percentile(off, 90)
+        scaled = umeyama(p[near], q[near].astype(np.float64)).matrix() @ scaled
+    T[:3, 3] += middle
+    return T, float(np.cbrt(np.linalg.det(scaled[:3, :3])))
+
+
+def seen_points(vertices: Any, faces: Any, views: Any, to_world: np.ndarray) -> np.ndarray:
+    """Points of a surface, its own frame, that a camera saw."""
+    import trimesh
+
+    from std_toolkit.geometry.ray_caster import RayCaster
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, face = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
+    normal = mesh.face_normals[face]
+    world = points @ to_world[:3, :3].T + to_world[:3, 3]
+    normal = normal @ to_world[:3, :3].T
+    caster = RayCaster(
+        np.asarray(vertices) @ to_world[:3, :3].T + to_world[:3, 3], np.asarray(faces)
+    )
+    seen = np.zeros(len(points), bool)
+    for view in views:
+        ray = world - view.centre
+        away = np.linalg.norm(ray, axis=1)
+        ray /= away[:, None]
+        uv, z = view.project(world)
+        with np.errstate(invalid="ignore"):
+            inside = ((uv > 0) & (uv < np.array(view.camera.size) - 1)).all(axis=1) & (z > 0)
+        index = np.flatnonzero(~seen & inside & (-(ray * normal).sum(axis=1) > 0.15))
+        x, y = np.rint(uv[index].T).astype(int)
+        if view.hidden is not None:
+            index = index[~view.hidden[y, x]]
+        rays = np.concatenate([np.broadcast_to(view.centre, (len(index), 3)), ray[index]], axis=1)
+        seen[index[caster.cast(rays).distance > away[index] - 0.001]] = True
+    return np.asarray(points[seen])
+
+
+def compare(scan: Any, truth: Any) -> dict[str, float]:
+    """Accuracy and completeness in millimetres, completeness at 2 mm and scale."""
+    from std_toolkit.geometry.ray_caster import RayCaster
+
+    points = seen_points(scan.vertices, scan.faces, scan.views, np.eye(4))
+    T, scale = align(points, truth)
+    moved = points @ T[:3, :3].T + T[:3, 3]
+    accuracy = RayCaster(truth.vertices, truth.faces).distance(moved)
+    back = np.linalg.inv(T)
+    there = seen_points(truth.vertices, truth.faces, scan.views, back)
+    local = there @ back[:3, :3].T + back[:3, 3]
+    complete = RayCaster(scan.vertices, scan.faces).distance(local)
+    return {
+        "median mm": 1000 * float(np.median(accuracy)),
+        "95 % mm": 1000 * float(np.percentile(accuracy, 95)),
+        "complete 2 mm %": 100 * float((complete < 0.002).mean()),
+        "scale %": 100 * (1 / scale - 1),
+    }
+
+
+def measured(name: str, options: Any, truth: Any) -> Any:
+    from std_toolkit.scanning.scan_step import scan
+
+    began, cpu = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_utime
+    done = scan(options)
+    wall = time.perf_counter() - began
+    cpu = resource.getrusage(resource.RUSAGE_SELF).ru_utime - cpu
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    row = {} if truth is None else compare(done, truth)
+    row |= {"wall s": wall, "CPU s": cpu, "GiB": memory}
+    shown = "  ".join(f"{k} {v:.2f}" for k, v in row.items())
+    print(f"{name:24} {shown}", flush=True)
+    return done
+
+
+def dino(work: Path) -> None:
+    from std_toolkit.geometry.ray_caster import RayCaster
+    from std_toolkit.options import KnownCameras
+    from std_toolkit.scanning.options import ScanOptions
+    from std_toolkit.scanning.report import outline_overlap
+
+    folder = DATA / "dino_ring"
+    options = ScanOptions(
+        photos=folder, out=work / "dino", known=KnownCameras(cameras=folder / "dinoSR_par.txt")
+    )
+    done = measured("dino_ring", options, None)
+    off = 1000 * np.abs(np.stack([done.vertices.min(axis=0), done.vertices.max(axis=0)]) - DINO_BOX)
+    caster = RayCaster(done.vertices, done.faces)
+    own = [outline_overlap(v, caster) for v in done.views]
+    # A mask of its own kind: brighter than the black cloth, without holes. It lacks shadows.
+    bright = []
+    for view in done.views:
+        mask = cv2.GaussianBlur(view.image.max(axis=2), (0, 0), 1) > 40
+        kernel = np.ones((5, 5), np.uint8)
+        mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
+        outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        filled = np.zeros_like(mask)
+        cv2.drawContours(filled, [max(outlines, key=cv2.contourArea)], -1, 1, -1)
+        bright.append(outline_overlap(view.with_mask(filled > 0), caster))
+    print(f"{'':24} extent off by at most {off.max():.2f} mm of the published box")
+    print(f"{'':24} overlap with the scan's masks: lowest {min(own):.3f}, mean {np.mean(own):.3f}")
+    print(f"{'':24} with a threshold's: lowest {min(bright):.3f}, mean {np.mean(bright):.3f}")
+
+
+def mustard(work: Path) -> None:
+    from std_toolkit.geometry.mesh import load_mesh
+    from std_toolkit.scanning.options import ScanOptions
+
+    folder = DATA / "tabletop_board_rgb"
+    options = ScanOptions(
+        photos=folder / "color", out=work / "mustard", board=folder / "board_mm.json",
+        intrinsics=str(folder / "cam_intrinsics.json"), pick="000040.jpg:300,400",
+    )  # fmt: skip
+    meshes = sorted((DATA / "ycb_meshes").rglob("006*/*.obj"))
+    measured("mustard bottle, real", options, load_mesh(meshes[0]))
+
+
+def turntable(folder: Path, work: Path) -> None:
+    from std_toolkit.geometry.mesh import load_mesh
+    from std_toolkit.scanning.options import ScanOptions
+
+    truth = next(p for s in ("obj", "ply", "glb") for p in sorted(folder.glob(f"truth/*.{s}")))
+    options = ScanOptions(
+        photos=folder / "photos", out=work / folder.name, board=folder / "board.json"
+    )
+    measured(folder.name, options, load_mesh(truth))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("what", nargs="*", default=["dino", "mustard"])
+    parser.add_argument("--work", type=Path)
+    given = parser.parse_args()
+    work = given.work or Path(tempfile.mkdtemp(prefix="scan-"))
+    for what in given.what:
+        if what in ("dino", "mustard"):
+            {"dino": dino, "mustard": mustard}[what](work)
+        else:
+            turntable(Path(what), work)
+
+
+if __name__ == "__main__":
+    main()

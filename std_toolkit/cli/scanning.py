@@ -1,0 +1,95 @@
+"""Entry point of `std-scan`: the table of its commands."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from std_toolkit.cli.command import Command, Program
+
+if TYPE_CHECKING:
+    from std_toolkit.scanning.options import ScanOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardCommand:
+    """Make the board that the object stands on: a PDF to print at 100 %, and its description."""
+
+    out: Path = field(metadata={"option": "out"})
+    """PDF file; the description has the same name with the suffix .json"""
+    paper: Literal["a4", "a3"] = "a4"
+    """size of the sheet"""
+    first_id: int = 0
+    """id of the first tag; boards that are used side by side need different ids"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command. Exit status: 0 done, 1 a failure, 2 wrong usage."""
+    return PROGRAM.main(arguments)
+
+
+def run_scan(options: ScanOptions) -> int:
+    """Scan and print where the model is."""
+    from std_toolkit.scanning.scan_step import scan
+
+    result = scan(options)
+    for line in result.warnings:
+        print(f"warning: {line}", file=sys.stderr)
+    print(f"{options.out / result.name}.obj: {len(result.faces)} faces")
+    for name, value in result.facts.items():
+        print(f"  {name}: {value}")
+    print(f"report: {options.out / 'report.html'}")
+    return 0
+
+
+def make_board(command: BoardCommand) -> int:
+    """Write the board and print what to do with it."""
+    from std_toolkit.poses.board_sheet import write_board_pdf
+
+    sheet, description = write_board_pdf(
+        command.out, paper=command.paper, first_id=command.first_id
+    )
+    print(f"{sheet}: print at 100 % and check its ruler")
+    print(f"{description}: for --board")
+    return 0
+
+
+def with_command(words: list[str]) -> list[str]:
+    """A folder as the first word is that of the photos, also if it is called as no command.
+
+    >>> with_command([".", "--out", "cup"])
+    ['photos', '.', '--out', 'cup']
+    """
+    place = next((i for i, word in enumerate(words) if word[:1] != "-"), None)
+    named = {command.name for command in PROGRAM.commands}
+    if place is None or not Path(words[place]).is_dir():
+        return words
+    if words[place] in named and any(Path(word).is_dir() for word in words[place + 1 : place + 2]):
+        return words
+    return [*words[:place], "photos", *words[place:]]
+
+
+def _command(name: str, about: str, options: str, run: str) -> Command:
+    return Command(name=name, about=about, options=options, run=f"{__name__}:{run}")
+
+
+PROGRAM = Program(
+    name="std-scan",
+    about="Make a metric, watertight, textured CAD model of an object from photos.",
+    commands=(
+        _command(
+            "photos", "make the model from photos of the object on the board (default)",
+            "std_toolkit.scanning.options:ScanOptions", "run_scan",
+        ),
+        _command("board", "make the board to print", f"{__name__}:BoardCommand", "make_board"),
+    ),
+    default="photos",
+    rewrite=with_command,
+)  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())

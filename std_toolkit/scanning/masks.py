@@ -1,0 +1,280 @@
+"""Masks of the object without a network: table model, GrabCut per photo, visual hull."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.log import logger
+from std_toolkit.scanning.candidates import Candidate
+from std_toolkit.scanning.depth_maps import hull_depth
+from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
+from std_toolkit.scanning.table_model import Comparison
+from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
+
+# The inner part of a candidate's coarse shape that certainly shows the object.
+_INNER = 0.7
+_OUTER = 1.15
+
+
+def segment_on_table(
+    views: Sequence[View],
+    candidates: Sequence[Candidate],
+    chosen: int,
+    compared: Sequence[Comparison],
+    *,
+    threads: int,
+) -> list[View]:
+    """Photos with the mask of the chosen object.
+
+    Args:
+        views: photos.
+        candidates: what stands on the table.
+        chosen: index of the object among them.
+        compared: the photos against the table.
+        threads: number of threads.
+    """
+    target = candidates[chosen]
+    others = [c for i, c in enumerate(candidates) if i != chosen]
+    middle = (target.low + target.high) / 2
+    grown = middle + _OUTER * (target.vertices - middle), target.faces
+    likely = RayCaster(*grown, threads=1)
+    caster = RayCaster(*(target.outer or grown), threads=1)
+    exact = RayCaster(middle + _INNER * (target.vertices - middle), target.faces, threads=1)
+    before = None
+    if others:
+        before = RayCaster(threads=1)
+        for c in others:
+            before.add(c.vertices, c.faces)
+
+    def one(i: int) -> View:
+        view, c = views[i], compared[i]
+        whole = (0, 0, view.camera.width, view.camera.height)
+        depth, _ = hull_depth(view, caster, np.zeros(3), whole)
+        core, _ = hull_depth(view, exact, np.zeros(3), whole)
+        hidden = np.zeros(depth.shape, bool)
+        if before is not None:
+            other, _ = hull_depth(view, before, np.zeros(3), whole)
+            hidden = (other > 0) & (other < depth) & (depth > 0)
+        maybe = (depth > 0) & ~c.clear
+        sure = eroded((core > 0) & ~c.clear & ~hidden, 3)
+        near = hull_depth(view, likely, np.zeros(3), whole)[0] > 0
+        mask = _grab_cut(view.image, maybe & ~hidden, sure, unlikely=~near & ~c.different)
+        return view.with_mask(mask, hidden if hidden.any() else None)
+
+    never = [c.clear for c in compared]
+    done = consistent(
+        in_threads(one, range(len(views)), threads=threads), never=never, threads=threads
+    )
+    return with_hidden(done, never, threads=threads) if others else done
+
+
+def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
+    """Photos with masks of an object before a background that the image borders show."""
+
+    def one(view: View) -> View:
+        image = cv2.GaussianBlur(view.image, (0, 0), 1.0).astype(np.float32)
+        sides = image[:4], image[-4:], image[:, :4], image[:, -4:]
+        edge = np.concatenate([side.reshape(-1, 3) for side in sides])
+        middle = np.median(edge, axis=0)
+        noise = 1.5 * np.median(np.abs(edge - middle)) + 1
+        off = np.abs(image - middle).max(axis=-1)
+        scaled = np.clip(off, 0, 255).astype(np.uint8)
+        level, _ = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+        sure = largest_component(off > max(0.9 * level, 6 * noise))
+        maybe = off > max(0.25 * level, 4 * noise)
+        labels, _ = ndimage.label(maybe)
+        reached = np.isin(labels, np.unique(labels[sure & (labels > 0)])) & (labels > 0)
+        return view.with_mask(_grab_cut(view.image, reached, eroded(sure, 2)))
+
+    return consistent(in_threads(one, views, threads=threads), threads=threads)
+
+
+def volume_of_masks(views: Sequence[View]) -> tuple[Array, Array]:
+    """Corners (low, high) of a box that contains what the masks show.
+
+    Raises:
+        ToolkitError: the masks do not meet in space.
+    """
+    rays, centres, radii = [], [], []
+    for view in views:
+        if view.shown.sum() < 50:
+            continue
+        rows, columns = np.nonzero(view.shown)
+        middle = np.array([columns.mean(), rows.mean()])
+        ray = view.T_world_cam.R @ view.camera.unproject(middle)
+        rays.append(ray / np.linalg.norm(ray))
+        centres.append(view.centre)
+        reach = np.hypot(columns - middle[0], rows - middle[1]).max() / view.camera.fx
+        radii.append(reach)
+    if len(rays) < 2:
+        raise ToolkitError("the masks are empty", hint="give your own with --masks")
+    P = np.eye(3) - np.einsum("ni,nj->nij", np.array(rays), np.array(rays))
+    centre = np.linalg.solve(P.sum(axis=0), np.einsum("nij,nj->i", P, np.array(centres)))
+    away = np.linalg.norm(np.array(centres) - centre, axis=1)
+    radius = 1.2 * float(np.median(np.array(radii) * away))
+    grid = Grid.around(centre - radius, centre + radius, 2 * radius / 90, margin=0)
+    field = hull_field(views, grid, allowed=max(1, len(views) // 10))
+    inside = np.argwhere(largest_component(field < grid.step))
+    if len(inside) == 0:
+        raise ToolkitError(
+            "the masks of the photos do not meet in one volume",
+            hint="check the camera poses and the masks in the report",
+        )
+    points = grid.points(inside)
+    return points.min(axis=0) - 1.5 * grid.step, points.max(axis=0) + 1.5 * grid.step
+
+
+def consistent(
+    views: Sequence[View],
+    *,
+    never: Sequence[Mask] | None = None,
+    rounds: int = 2,
+    threads: int = 1,
+) -> list[View]:
+    """Photos whose masks agree with the visual hull of all of them.
+
+    A pixel that the hull covers although its photo's mask does not, or the reverse, is decided
+    anew by colour.
+
+    Args:
+        views: photos with masks.
+        never: pixels (H, W) of each photo that do not show the object.
+        rounds: number of repetitions.
+        threads: number of threads.
+    """
+    current = list(views)
+    for n in range(rounds):
+        low, high = volume_of_masks(current)
+        step = float(((high - low).prod() / 1_000_000) ** (1 / 3))
+        grid = Grid.around(low, high, step)
+        field = hull_field(current, grid, allowed=max(1, len(current) // 12), threads=threads)
+        field = np.where(largest_component(field < 0) | (field >= 0), field, step)
+        vertices, faces = surface_of(field.astype(np.float32), grid)
+        if len(faces) == 0:
+            raise ToolkitError(
+                "the masks of the photos contradict each other",
+                hint="correct them with std-annotate and give them with --masks",
+            )
+        caster = RayCaster(vertices, faces, threads=1)
+
+        def one(i: int, caster: RayCaster = caster, band: int = 5 - n, now: Any = current) -> View:
+            view = now[i]
+            whole = (0, 0, view.camera.width, view.camera.height)
+            inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
+            hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
+            maybe = dilated(inside, band) & ~hidden
+            if never is not None:
+                maybe &= ~never[i]
+            sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
+            return view.with_mask(_grab_cut(view.image, maybe, sure), view.hidden)
+
+        changed = in_threads(one, range(len(current)), threads=threads)
+        moved = [
+            float((a.shown ^ b.shown).sum()) / max(1, b.shown.sum())
+            for a, b in zip(changed, current, strict=True)
+        ]
+        current = changed
+        logger.info("masks: round %d changed %.1f %% of them", n + 1, 100 * float(np.mean(moved)))
+    return current
+
+
+def with_hidden(
+    views: Sequence[View], never: Sequence[Mask], *, rounds: int = 3, threads: int = 1
+) -> list[View]:
+    """Photos in which what hides the object from them is marked.
+
+    Where a mask lacks a thick part of the hull on which most other photos agree, something stands
+    before it. Marked as hidden, the part does not carve the hull.
+    """
+    current = list(views)
+    for _ in range(rounds):
+        low, high = volume_of_masks(current)
+        step = float(((high - low).prod() / 300_000) ** (1 / 3))
+        grid = Grid.around(low, high, step)
+        field = hull_field(current, grid, allowed=max(1, len(current) // 8), threads=threads)
+        field = np.where(largest_component(field < 0) | (field >= 0), field, step)
+        caster = RayCaster(*surface_of(field.astype(np.float32), grid), threads=1)
+
+        def one(i: int, caster: RayCaster = caster, now: Any = current) -> View:
+            view = now[i]
+            whole = (0, 0, view.camera.width, view.camera.height)
+            inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
+            radius = max(2, round(0.02 * float(np.sqrt(inside.sum()))))
+            thick = eroded(inside & ~view.possible & ~never[i], radius)
+            if not thick.any():
+                return view
+            hidden = dilated(thick, 2 * radius + 2) & ~view.shown & ~never[i]
+            return view.with_mask(
+                view.shown, hidden if view.hidden is None else hidden | view.hidden
+            )
+
+        current = in_threads(one, range(len(current)), threads=threads)
+    return current
+
+
+def _grab_cut(
+    image: NDArray[np.uint8], maybe: Mask, sure: Mask, unlikely: Mask | None = None
+) -> Mask:
+    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`.
+
+    The colours of `unlikely` pixels do not count as those of the object to begin with.
+    """
+    rows, columns = np.flatnonzero(maybe.any(axis=1)), np.flatnonzero(maybe.any(axis=0))
+    result = np.zeros(maybe.shape, bool)
+    if len(rows) < 3 or len(columns) < 3 or sure.sum() < 30:
+        return result
+    margin = 30
+    y0, y1 = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, maybe.shape[0])
+    x0, x1 = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, maybe.shape[1])
+    window = (slice(y0, y1), slice(x0, x1))
+    state = np.full((y1 - y0, x1 - x0), cv2.GC_BGD, np.uint8)
+    state[maybe[window]] = cv2.GC_PR_FGD
+    if unlikely is not None:
+        state[(maybe & unlikely)[window]] = cv2.GC_PR_BGD
+    state[sure[window]] = cv2.GC_FGD
+    if (state == cv2.GC_BGD).sum() < 30:
+        return np.asarray(maybe)
+    crop = np.ascontiguousarray(image[window][..., ::-1])
+    cv2.setRNGSeed(0)
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.grabCut(crop, state, None, *models, 3, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
+    found = (state == cv2.GC_FGD) | (state == cv2.GC_PR_FGD)
+    found = ndimage.binary_opening(found, iterations=1) | (sure[window] & found)
+    labels, count = ndimage.label(found)
+    if count > 1:
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        found = sizes[labels] > 0.02 * sizes.max()
+    result[window] = _small_holes_filled(found)
+    return result
+
+
+def _small_holes_filled(mask: Mask) -> Mask:
+    """The mask with holes below 0.3 % of its area filled: highlights, not handles."""
+    labels, _ = ndimage.label(~mask)
+    sizes = np.bincount(labels.ravel())
+    border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    small = sizes < max(20, 0.003 * mask.sum())
+    small[border] = False
+    small[0] = False
+    return np.asarray(mask | small[labels])
+
+
+def eroded(mask: Mask, radius: int) -> Mask:
+    """The mask without pixels within `radius` of its outline."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
+
+
+def dilated(mask: Mask, radius: int) -> Mask:
+    """The mask and all pixels within `radius` of it."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel) > 0)

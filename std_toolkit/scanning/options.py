@@ -1,0 +1,61 @@
+"""Options of `std-scan`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from std_toolkit.errors import check_options
+from std_toolkit.jobs import JobOptions
+from std_toolkit.options import KnownCameras
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanOptions:
+    """Make a metric, watertight, textured mesh of an object from photos.
+
+    The object stands on the printed board; 40 to 60 photos around it, from two heights, show most
+    of the board. Poses and metres come from the board. The output folder receives OBJ, MTL, PNG,
+    GLB and PLY in metres, and report.html. A run that was interrupted resumes with the same
+    command. See docs/scanning.md.
+    """
+
+    photos: Path = field(metadata={"option": ""})
+    """folder of the photos"""
+    out: Path = field(metadata={"option": "out"})
+    """folder for the model; its name is the name of the model"""
+    board: Path | None = None
+    """description of the printed board on which the object stands (JSON)"""
+    intrinsics: str | None = None
+    """intrinsics file, or fx,fy,cx,cy in pixels (default: calibrated from the board)"""
+    masks: Path | None = None
+    """folder of your own masks, PNG named as the photos; photos without one are segmented"""
+    pick: str | None = None
+    """PHOTO:x,y a pixel of the object, where several stand on the board"""
+    box: str | None = None
+    """PHOTO:x0,y0,x1,y1 a box around the object, where several stand on the board"""
+    revolve: bool = False
+    """fit a surface of revolution to the outlines: for unsprayed vessels of glass or metal, without
+    handles"""
+    faces: Annotated[int, msgspec.Meta(ge=100, le=2_000_000)] = 20_000
+    """number of faces of the mesh"""
+    texture: Annotated[int, msgspec.Meta(ge=64, le=8192)] = 2048
+    """width and height of the texture in pixels"""
+    voxels: Annotated[int, msgspec.Meta(ge=20, le=1000)] = 220
+    """number of voxels along the longest side of the object"""
+    neighbours: Annotated[int, msgspec.Meta(ge=2, le=20)] = 6
+    """number of photos that each photo is compared with for depth"""
+    depth: str = "patchmatch"
+    """engine of the depth maps: patchmatch, an installed plug-in, or file.py:NAME"""
+    max_features: Annotated[int, msgspec.Meta(ge=100)] = 4000
+    """SIFT features per photo"""
+    image_size: Annotated[int, msgspec.Meta(ge=320)] = 1600
+    """longer side to which larger photos are reduced, pixels"""
+    known: KnownCameras = field(default_factory=KnownCameras)
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+    def __post_init__(self) -> None:
+        check_options(self)

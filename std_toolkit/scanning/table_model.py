@@ -1,0 +1,153 @@
+"""The table as the photos agree on it, and where each photo differs from it.
+
+A point of the table is seen by many photos and hidden by the object in some, so the median colour
+is that of the table, shadows that rest on it included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.scanning.views import Array, Mask, View
+
+_CELL_M = 0.0015
+_MOST_CELLS = 250_000
+_MIN_PHOTOS = 4
+# Grey values: photos that differ less show the table, more show something else.
+_CLEAR = 14.0
+_DIFFERENT = 26.0
+# A cell whose photos differ more is no table at rest: a moving background, or the object.
+_LARGEST_SPREAD = 22.0
+# Sine of the angle below which the table is seen too flat to compare.
+_FLATTEST = 0.12
+
+
+@dataclass(frozen=True, eq=False)
+class TableModel:
+    """Colours of the plane z = 0.
+
+    Attributes:
+        low: (2,) x and y of the first cell, metres.
+        cell: size of a cell in metres.
+        color: (h, w, 3) float32 median colour.
+        known: (h, w) cells whose photos agree.
+        gains: (V, 3) factor from the table's colours to those of each photo.
+    """
+
+    low: Array
+    cell: float
+    color: NDArray[np.float32]
+    known: Mask
+    gains: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A photo compared with the table.
+
+    Attributes:
+        clear: (H, W) pixels that show the bare table.
+        different: (H, W) pixels before the known table that show something else.
+        known: (H, W) pixels whose rays meet the known table.
+    """
+
+    clear: Mask
+    different: Mask
+    known: Mask
+
+
+def model_table(views: Sequence[View], low: Array, high: Array) -> TableModel:
+    """Colours of the table between two corners (x, y), metres."""
+    cell = max(_CELL_M, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
+    w, h = (int(n) for n in np.ceil((high - low) / cell) + 1)
+    y, x = np.mgrid[:h, :w]
+    points = np.stack([low[0] + x * cell, low[1] + y * cell, np.zeros(x.shape)], axis=-1)
+    flat = points.reshape(-1, 3)
+    samples = np.zeros((len(views), h * w, 3), np.uint8)
+    seen = np.zeros((len(views), h * w), bool)
+    for i, view in enumerate(views):
+        uv, z = view.project(flat)
+        uv = np.where(np.isfinite(uv), uv, -10).astype(np.float32)
+        inside = (uv > 0).all(axis=1) & (uv < np.array(view.camera.size) - 1).all(axis=1) & (z > 0)
+        steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > _FLATTEST
+        seen[i] = inside & steep
+        blurred = cv2.GaussianBlur(view.image, (0, 0), 0.7)
+        # Maps of OpenCV are limited to 32767 rows.
+        samples[i] = cv2.remap(
+            blurred, uv[:, 0].reshape(h, w), uv[:, 1].reshape(h, w), cv2.INTER_LINEAR
+        ).reshape(-1, 3)
+    gains = np.ones((len(views), 3), np.float32)
+    color = np.zeros((h * w, 3), np.float32)
+    spread = np.zeros(h * w, np.float32)
+    for _ in range(2):
+        color, spread = _median(samples, seen, gains)
+        for i in range(len(views)):
+            use = seen[i] & (spread < _LARGEST_SPREAD) & (color.min(axis=1) > 20)
+            if use.sum() > 500:
+                gains[i] = np.median(samples[i][use] / color[use], axis=0)
+    known = (seen.sum(axis=0) >= _MIN_PHOTOS) & (spread < _LARGEST_SPREAD)
+    return TableModel(low, cell, color.reshape(h, w, 3), known.reshape(h, w), gains)
+
+
+def _median(
+    samples: NDArray[np.uint8], seen: Mask, gains: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Median colour (N, 3) and interquartile range (N,) over the photos that see each cell."""
+    count = samples.shape[1]
+    color = np.zeros((count, 3), np.float32)
+    spread = np.full(count, 255, np.float32)
+    for part in np.array_split(np.arange(count), max(1, count // 50_000)):
+        value = samples[:, part].astype(np.float32) / gains[:, None]
+        value[~seen[:, part]] = np.inf
+        value.sort(axis=0)
+        n = seen[:, part].sum(axis=0)
+        some = n > 0
+        column = np.arange(len(part))
+        quartiles = [
+            value[np.clip((n * q).astype(np.int64), 0, np.maximum(n - 1, 0)), column]
+            for q in (0.25, 0.5, 0.75)
+        ]
+        color[part[some]] = quartiles[1][some]
+        spread[part[some]] = (quartiles[2] - quartiles[0])[some].max(axis=1)
+    return color, spread
+
+
+def compare(view: View, table: TableModel, index: int) -> Comparison:
+    """Where a photo shows the bare table and where something else.
+
+    Args:
+        view: the photo.
+        table: of `model_table` over all photos.
+        index: index of the photo among them.
+    """
+    h, w = view.image.shape[:2]
+    c = view.camera
+    u, v = np.meshgrid(np.arange(w), np.arange(h))
+    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
+    rays = local @ view.T_world_cam.R.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = -view.centre[2] / rays[..., 2]
+    at = view.centre[:2] + np.where(t > 0, t, np.nan)[..., None] * rays[..., :2]
+    cell = ((at - table.low) / table.cell).astype(np.float32)
+    cell[~np.isfinite(cell)] = -100
+    steep = -rays[..., 2] / np.linalg.norm(rays, axis=-1) > _FLATTEST
+    color = (table.color * table.gains[index]).astype(np.float32)
+    # A pixel may show any colour within about a pixel of its place on the table.
+    pixel = float(np.median(t[np.isfinite(t) & (t > 0) & steep])) / c.fx if steep.any() else 0.001
+    n = 2 * max(1, round(1.2 * pixel / table.cell)) + 1
+    kernel = np.ones((n, n), np.uint8)
+    x, y = cell[..., 0], cell[..., 1]
+    darkest = cv2.remap(cv2.erode(color, kernel), x, y, cv2.INTER_LINEAR)
+    brightest = cv2.remap(cv2.dilate(color, kernel), x, y, cv2.INTER_LINEAR)
+    known = cv2.remap(table.known.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
+    known &= steep & (x >= 0) & (y >= 0)
+    image = cv2.GaussianBlur(view.image, (0, 0), 0.7).astype(np.float32)
+    off = np.maximum(np.maximum(image - brightest, darkest - image), 0).max(axis=-1)
+    clear = known & (off < _CLEAR)
+    clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    return Comparison(clear, known & (off > _DIFFERENT), known)

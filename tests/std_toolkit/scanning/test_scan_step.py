@@ -1,0 +1,190 @@
+"""A scan from photos to files, its resumption, and what it says about unusable photos."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+pytest.importorskip("manifold3d")
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.io.images import write_color, write_png
+from std_toolkit.jobs import JobOptions
+from std_toolkit.options import KnownCameras
+from std_toolkit.poses.board_scale import BoardDetection
+from std_toolkit.scanning import scan_step
+from std_toolkit.scanning.board_poses import board_pose, calibrate, check_boards
+from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.photos import blurred_photos
+from std_toolkit.scanning.stages import Stages
+from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views, look_at
+
+SERIAL = JobOptions(engine="serial", workers=1)
+
+
+def write_photos(folder: Path, count: int = 16) -> Path:
+    """Photos of the ball, and cameras.json beside the folder."""
+    folder.mkdir()
+    rows = []
+    views = ball_views(count)
+    for view in views:
+        write_color(folder / view.name, view.image)
+        rows.append({"name": view.name, "T_world_cam": view.T_world_cam.matrix().tolist()})
+    cameras = folder.parent / "cameras.json"
+    cameras.write_text(json.dumps(rows))
+    return cameras
+
+
+def options_for(tmp_path: Path, **changes: object) -> ScanOptions:
+    values: dict[str, object] = {
+        "photos": tmp_path / "photos",
+        "out": tmp_path / "ball",
+        "intrinsics": "260,260,79.5,59.5",
+        "known": KnownCameras(cameras=tmp_path / "cameras.json"),
+        "faces": 2000,
+        "texture": 128,
+        "voxels": 60,
+        "jobs": SERIAL,
+    }
+    return ScanOptions(**{**values, **changes})  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_a_painted_ball_is_scanned_and_the_scan_resumes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_photos(tmp_path / "photos")
+    done = scan_step.scan(options_for(tmp_path))
+    off = np.linalg.norm(done.vertices - CENTRE, axis=1) - RADIUS
+    seen = done.vertices[:, 2] > CENTRE[2] - 0.4 * RADIUS
+    assert np.median(np.abs(off[seen])) < 0.0005
+    assert np.percentile(np.abs(off[seen]), 95) < 0.002
+    assert done.supported.mean() > 0.5
+    facts = json.loads((tmp_path / "ball" / "scan.json").read_text())
+    assert min(facts["outline_overlaps"].values()) > 0.95
+    assert "from below" in (tmp_path / "ball" / "report.html").read_text()
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("made again although nothing changed")
+
+    monkeypatch.setattr(scan_step.ENGINES, "get", lambda _: never)
+    monkeypatch.setattr(scan_step, "segment_by_border", never)
+    again = scan_step.scan(options_for(tmp_path))
+    assert np.array_equal(again.vertices, done.vertices)
+
+
+def test_a_stage_is_made_again_if_its_inputs_changed_or_its_file_is_damaged(tmp_path: Path) -> None:
+    stages = Stages(tmp_path)
+    made = []
+
+    def make() -> dict[str, np.ndarray]:
+        made.append(1)
+        return {"x": np.arange(3)}
+
+    first = stages.arrays("part", "a" * 64, make)
+    assert np.array_equal(stages.arrays("part", "a" * 64, make)["x"], first["x"])
+    assert len(made) == 1
+    stages.arrays("part", "b" * 64, make)
+    assert len(made) == 2
+    (kept,) = tmp_path.glob("part-*.npz")
+    kept.write_bytes(kept.read_bytes()[:60])
+    stages.arrays("part", "b" * 64, make)
+    assert len(made) == 3
+
+
+def test_too_few_photos(tmp_path: Path) -> None:
+    write_photos(tmp_path / "photos", 5)
+    with pytest.raises(ToolkitError, match=r"5 photos are too few.*40 to 60"):
+        scan_step.scan(options_for(tmp_path))
+
+
+def test_without_board_and_cameras_the_size_is_unknown(tmp_path: Path) -> None:
+    write_photos(tmp_path / "photos", 8)
+    with pytest.raises(ToolkitError, match=r"nothing tells the size.*--board"):
+        scan_step.scan(options_for(tmp_path, known=KnownCameras()))
+
+
+def test_masks_must_be_named_as_the_photos(tmp_path: Path) -> None:
+    write_photos(tmp_path / "photos", 8)
+    (tmp_path / "masks").mkdir()
+    write_png(tmp_path / "masks" / "other.png", np.zeros((120, 160), np.uint8))
+    with pytest.raises(ToolkitError, match="no mask is named as a photo"):
+        scan_step.scan(options_for(tmp_path, masks=tmp_path / "masks"))
+
+
+def test_photos_without_the_board_are_refused(tmp_path: Path) -> None:
+    nothing = BoardDetection(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 2)))
+    with pytest.raises(ToolkitError, match=r"found in 0 of 9 photos.*most of the board in view"):
+        check_boards([nothing] * 9, [Path("a.jpg")] * 9, tmp_path / "board.json")
+
+
+def grid_detection(T_world_cam: SE3, camera: Camera) -> BoardDetection:
+    y, x = np.mgrid[:6, :8] * 0.03
+    xyz = np.stack([x, y, np.zeros(x.shape)], axis=-1).reshape(-1, 3)
+    return BoardDetection(np.arange(48), xyz, camera.project(T_world_cam.inverse() @ xyz))
+
+
+def test_the_board_gives_intrinsics_and_poses() -> None:
+    camera = Camera(640, 480, 600, 600, 322.0, 236.0, (-0.1, 0.05, 0.0, 0.0))
+    middle = np.array([0.1, 0.07, 0.0])
+    poses = [
+        look_at(middle + np.array([r * np.cos(a), r * np.sin(a), h]), middle)
+        for a, r, h in [(k, 0.25, 0.25 + 0.05 * (k % 3)) for k in range(8)]
+    ]
+    found = [grid_detection(T, camera) for T in poses]
+    got = calibrate(found, (640, 480))
+    assert got.fx == pytest.approx(600, rel=1e-3)
+    assert got.cx == pytest.approx(322, abs=0.5)
+    result = board_pose(found[0], camera)
+    assert result is not None
+    T, error = result
+    assert error < 0.01
+    assert np.allclose(T.inverse().t, poses[0].t, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_ball_is_a_surface_of_revolution() -> None:
+    shift = SE3(np.eye(3), np.array([0, 0, RADIUS - CENTRE[2]]))
+    views = [replace(v, T_world_cam=shift @ v.T_world_cam) for v in ball_views(12)]
+    posed = scan_step._Posed(
+        views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=True, facts={},
+        warnings=[], digest="", photos=scan_step.photo_files.Photos((), (), (160, 120), 1.0),
+    )  # fmt: skip
+    vertices, faces, support = scan_step._revolved(views, posed)
+    assert not support.any()
+    assert len(support) == len(faces)
+    assert np.linalg.norm(vertices[:, :2] - CENTRE[:2], axis=1).max() == pytest.approx(
+        RADIUS, abs=0.0006
+    )
+    assert "outline residual" in posed.facts
+    with pytest.raises(ToolkitError, match="needs the board"):
+        scan_step._revolved(views, replace(posed, on_table=False))
+
+
+def test_blurred_photos_are_found(tmp_path: Path) -> None:
+    import cv2
+
+    rng = np.random.default_rng(0)
+    paths = []
+    for n in range(10):
+        image = rng.integers(0, 255, (240, 320, 3)).astype(np.uint8)
+        image = cv2.GaussianBlur(image, (0, 0), 1.2)
+        if n == 4:
+            image = cv2.GaussianBlur(image, (0, 0), 6)
+        paths.append(tmp_path / f"{n}.png")
+        write_color(paths[-1], image)
+    assert blurred_photos(paths) == [4]
+
+
+def test_a_choice_names_a_photo_and_numbers(tmp_path: Path) -> None:
+    write_photos(tmp_path / "photos", 8)
+    found = scan_step.photo_files.find_photos(tmp_path / "photos", tmp_path, longest=1600)
+    assert found.index_of("003", "--pick") == 3
+    with pytest.raises(ToolkitError, match="no such photo"):
+        found.index_of("nine", "--pick")

@@ -1,0 +1,88 @@
+"""Hull, closed surface, outline polish and files of a ball of known size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+pytest.importorskip("manifold3d")
+
+from std_toolkit.geometry.mesh import load_mesh
+from std_toolkit.scanning.bake import Texture
+from std_toolkit.scanning.hull import hull_field, surface_of
+from std_toolkit.scanning.masks import volume_of_masks
+from std_toolkit.scanning.polish import fit_outlines
+from std_toolkit.scanning.surface import closed_mesh, is_closed
+from std_toolkit.scanning.views import Grid
+from std_toolkit.scanning.write_model import write_model
+from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_hull_of_many_outlines_is_the_ball() -> None:
+    views = ball_views(24)
+    low, high = volume_of_masks(views)
+    assert (low < CENTRE - RADIUS).all() and (high > CENTRE + RADIUS).all()
+    field = hull_field(views, Grid.around(low, high, 0.002))
+    vertices, faces = surface_of(field, Grid.around(low, high, 0.002))
+    distance = np.linalg.norm(vertices - CENTRE, axis=1) - RADIUS
+    assert is_closed(vertices, faces)
+    assert abs(np.median(distance)) < 0.0006
+    # Cameras above do not see the lowest part: the hull may only be too large.
+    assert distance.min() > -0.0008
+
+
+def test_one_bad_mask_cuts_the_hull_unless_it_may_be_contradicted() -> None:
+    views = ball_views(16)
+    views[3] = views[3].with_mask(np.zeros_like(views[3].shown))
+    grid = Grid.around(CENTRE - 0.05, CENTRE + 0.05, 0.004)
+    assert not (hull_field(views, grid) < 0).any()
+    inside = hull_field(views, grid, allowed=1) < 0
+    assert inside.sum() * grid.step**3 == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.15)
+
+
+def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
+    views = ball_views(16)
+    grid = Grid.around(CENTRE - 0.05, CENTRE + 0.05, 0.003)
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
+    away = np.linalg.norm(grid.points(index.reshape(-1, 3)) - CENTRE, axis=1)
+    field = (away - (RADIUS - 0.0015)).reshape(grid.shape).astype(np.float32)
+    vertices, faces = closed_mesh(field, grid, 2000)
+    fitted = fit_outlines(vertices, faces, views)
+    side = np.abs(vertices[:, 2] - CENTRE[2]) < 0.02
+
+    def off(v: np.ndarray) -> float:
+        return float(np.abs(np.linalg.norm(v[side] - CENTRE, axis=1) - RADIUS).mean())
+
+    assert off(fitted) < 0.35 * off(vertices)
+    assert is_closed(fitted, faces)
+
+
+def test_the_files_hold_the_same_mesh_and_texture(tmp_path: Path) -> None:
+    vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], dtype=np.float64)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    uv = np.zeros((4, 3, 2))
+    for f in range(4):
+        x, y = 0.5 * (f % 2), 0.5 * (f // 2)
+        uv[f] = [[x + 0.05, y + 0.05], [x + 0.45, y + 0.05], [x + 0.05, y + 0.45]]
+    image = np.zeros((64, 64, 3), np.uint8)
+    image[:32, :32], image[:32, 32:], image[32:, :32] = (250, 0, 0), (0, 250, 0), (0, 0, 250)
+    texture = Texture(uv, image, np.ones(4, np.int64), np.ones((1, 3)))
+    paths = write_model(tmp_path, "tetra", vertices, faces, texture)
+    for suffix in ("obj", "glb", "ply"):
+        mesh = load_mesh(paths[suffix])
+        assert len(mesh.faces) == 4
+        assert mesh.area == pytest.approx(0.5 * 0.01 * (3 + np.sqrt(3)))
+    assert load_mesh(paths["ply"]).is_watertight
+    from std_toolkit.rendering.texture import SurfaceColors
+
+    colors = SurfaceColors.from_mesh(load_mesh(paths["obj"]))
+    assert colors is not None
+    middle = colors.at(np.arange(4), np.full((4, 2), 0.2))
+    # v = 0 is the bottom of the image.
+    assert middle.argmax(axis=1).tolist()[0] == 2
+    assert middle[2].argmax() == 0 and middle[3].argmax() == 1
