@@ -170,7 +170,7 @@ def _opened(source: Path) -> Iterator[Any]:
         raise
     except (AnyReaderError, OSError) as error:
         raise ToolkitError(
-            f"not a readable recording of ROS: {error}",
+            f"not a readable recording of ROS: {str(error).rstrip('.')}",
             path=source,
             hint="`ros2 bag info` shows what it holds; `ros2 bag reindex` repairs a folder that "
             "was cut short",

@@ -109,7 +109,7 @@ def test_files_of_another_kind(refused, tmp_path: Path) -> None:  # type: ignore
     refused([str(tmp_path / "s"), "--from", str(other)], "not a recording of librealsense", ".bag")
     other = tmp_path / "other.bag"
     other.write_bytes(b"#ROSBAG V1.2\n" * 100)
-    refused([str(tmp_path / "s"), "--from", str(other)], "cannot be read")
+    refused([str(tmp_path / "s"), "--from", str(other)], "not a readable recording")
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The preview page while recording: own scripts alone, and own addresses alone."""
+"""The preview page of live programs: own scripts alone, and own addresses alone."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import urllib.request
 
 import pytest
 
-from sensors.record.live_view import PreviewPage
 from std_toolkit.html.page import script_digest
+from std_toolkit.jobs.live import PreviewPage
 
 
 def asked(page: PreviewPage, path: str = "", **headers: str) -> tuple[bytes, dict[str, str]]:
