@@ -64,8 +64,9 @@ class ImageTopic:
         return stem if last in _TRANSPORTS else self.name
 
 
-def is_ros_recording(source: Path) -> bool:
+def is_ros_recording(source: Path | str) -> bool:
     """Whether a file or folder is a recording of ROS, and none of librealsense."""
+    source = Path(source)
     if source.is_dir():
         kinds = {path.suffix for path in source.iterdir()}
         return (source / "metadata.yaml").is_file() and bool(kinds & {".mcap", ".db3", ".zstd"})
