@@ -278,7 +278,7 @@ def test_a_link_in_place_of_the_journal_is_not_written_through(root: Path, tmp_p
     outside = tmp_path / "outside"
     outside.mkdir()
     path.parent.symlink_to(outside)
-    with Session.open(root) as session, pytest.raises(ToolkitError, match="symbolic link"):
+    with pytest.raises(ToolkitError, match="symbolic link"), Session.open(root) as session:
         session.apply(step())
     assert list(outside.iterdir()) == []
 

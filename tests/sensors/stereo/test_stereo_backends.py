@@ -96,7 +96,8 @@ def test_missing_package_is_told(
     pair: Pair, monkeypatch: pytest.MonkeyPatch, backend: str, package: str, extra: str
 ) -> None:
     for name in [*sys.modules]:
-        if name == "sensors.compiled" or name.startswith(("sensors.stereo.n", "sensors.stereo.t")):
+        compiled = ("sensors.compiled", "std_toolkit.compiled")
+        if name in compiled or name.startswith(("sensors.stereo.n", "sensors.stereo.t")):
             monkeypatch.delitem(sys.modules, name)
     for name in ("numba_backend", "torch_backend"):
         monkeypatch.delattr(sensors.stereo, name, raising=False)
