@@ -36,9 +36,10 @@ def a_thread_goes_on():
     threading.Thread(target=within_a_library).start()
     time.sleep(60)
 
-def swallowed():
+def swallowed(say=""):
     while True:
         try:
+            print(say, flush=True)
             time.sleep(60)
         except KeyboardInterrupt:
             pass
@@ -46,8 +47,7 @@ def swallowed():
 def with_a_child():
     import subprocess
     child = subprocess.Popen(["sleep", "61"])
-    print(child.pid, flush=True)
-    swallowed()
+    swallowed(child.pid)  # within its block, no signal ends this process by itself
 
 def run():
     print("begun", flush=True)
