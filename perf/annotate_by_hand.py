@@ -209,10 +209,10 @@ def _turn(hand: Any, name: str, wanted: SE3, error_deg: float) -> None:
     if steps:
         wait(KEY_S)
         hand.press(Qt.Key.Key_7)
-        for _ in range(abs(steps)):
-            wait(KEY_S)
-            key = Qt.Key.Key_Right if steps > 0 else Qt.Key.Key_Left
-            hand.press(key, Qt.KeyboardModifier.ShiftModifier)
+        # Presses follow one another; the person looks when the last one is drawn.
+        wait(abs(steps) * KEY_S)
+        key = Qt.Key.Key_Right if steps > 0 else Qt.Key.Key_Left
+        hand.press(key, Qt.KeyboardModifier.ShiftModifier, abs(steps))
 
 
 def main() -> None:
