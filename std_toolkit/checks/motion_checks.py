@@ -262,9 +262,10 @@ def _with_motion(
     motion = solve_motion(equations, free, systematic_px=systematic_px)
     if motion is None:
         return msgspec.structs.replace(item, confirmed=False, confirmed_share=0.0)
+    # Support is measured where the images put the object: a small motion has a gate of its own.
+    support = pooled_support(equations, motion.vector)
     if len(equations) < FEWEST_FRAMES:
         # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
-        support = pooled_support(equations, motion.vector)
         return msgspec.structs.replace(
             item,
             confirmed=_is_supported(support) or item.print_verdict == "fits",
@@ -278,16 +279,13 @@ def _with_motion(
     assert sized is not None and sized.size is not None and sized.size_std is not None
     floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
     size_std = float(np.hypot(sized.size_std, floor))
-    whole = np.append(sized.vector, sized.size)
-    gained = pooled_support(equations, whole).share - pooled_support(equations, motion.vector).share
-    if gained < _SIZE_SHARE:
+    sized_support = pooled_support(equations, np.append(sized.vector, sized.size))
+    if sized_support.share - support.share < _SIZE_SHARE:
         size_std = max(size_std, abs(sized.size))
     fields |= {"size_error": round(sized.size, 5), "size_std": round(size_std, 5)}
     # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
     if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * size_std):
-        motion = sized
-    # Support is measured where the images put the object: a small motion has a gate of its own.
-    support = pooled_support(equations, motion.vector if motion is plain else whole)
+        motion, support = sized, sized_support
     mm, mm_std = motion.translation_mm
     deg, deg_std = motion.rotation_deg
     fields |= {
