@@ -17,10 +17,11 @@ from benchmark.restoring.recordings import INTRINSICS, FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer
 from std_toolkit.cameras import CAMERAS, CameraRequest, LiveCamera, LiveFrame
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.preview import PreviewPage, encoded
 from std_toolkit.io.atomic import check_vacant, write_bytes_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color, write_depth_png16
-from std_toolkit.jobs.live import PreviewPage, StatusLine, encoded, stopped_by_signal
+from std_toolkit.jobs.live import StatusLine, stopped_by_signal
 from std_toolkit.log import logger
 
 _UNIT_M = 0.001

@@ -131,7 +131,8 @@ def _session(
     from sensors.record.camera_settings import apply_settings, lock
     from sensors.record.live_view import enter_pressed
     from sensors.record.recording_session import record
-    from std_toolkit.jobs.live import PreviewPage, StatusLine
+    from std_toolkit.html.preview import PreviewPage
+    from std_toolkit.jobs.live import StatusLine
 
     settings = options.settings
     if options.file is None:
@@ -161,8 +162,8 @@ def _session(
             if options.preview is None and page is None:
                 return
             from sensors.record.live_view import preview_picture
+            from std_toolkit.html.preview import encoded
             from std_toolkit.io.atomic import write_bytes_atomic
-            from std_toolkit.jobs.live import encoded
 
             head = progress.line().split("  ")[0]
             unit = source.calibration.depth_unit_m

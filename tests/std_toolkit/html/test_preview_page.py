@@ -8,7 +8,7 @@ import urllib.request
 import pytest
 
 from std_toolkit.html.page import script_digest
-from std_toolkit.jobs.live import PreviewPage
+from std_toolkit.html.preview import PreviewPage
 
 
 def asked(page: PreviewPage, path: str = "", **headers: str) -> tuple[bytes, dict[str, str]]:
