@@ -355,6 +355,23 @@ def _plane_cost(  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _keep_better(  # type: ignore[no-untyped-def]
+    grey, stack, sizes, Ki, A, b, x, y, cx, cy, mask, d, n0, n1, n2, samples, costs, depth, normal,
+    cost,
+) -> None:  # fmt: skip
+    """Give a pixel the plane of depth d and normal n if it costs less than its own."""
+    c = _plane_cost(
+        grey, stack, sizes, Ki, A, b, x + cx, y + cy, cx, cy, mask, d, n0, n1, n2, samples, costs
+    )
+    if c < cost[y, x]:
+        cost[y, x] = c
+        depth[y, x] = d
+        normal[y, x, 0] = n0
+        normal[y, x, 1] = n1
+        normal[y, x, 2] = n2
+
+
+@compiled
 def _patch_match(  # type: ignore[no-untyped-def]
     grey, stack, sizes, Ki, A, b, cx, cy, mask, start, hull_normal, depth, normal, cost, contrast,
     deepest, iterations, seed, random_start,
@@ -395,9 +412,8 @@ def _patch_match(  # type: ignore[no-untyped-def]
                 x = xx if forward else w - 1 - xx
                 if mask[y, x] == 0:
                     continue
-                px, py = x + cx, y + cy
-                rx = Ki[0, 0] * px + Ki[0, 2]
-                ry = Ki[1, 1] * py + Ki[1, 2]
+                rx = Ki[0, 0] * (x + cx) + Ki[0, 2]
+                ry = Ki[1, 1] * (y + cy) + Ki[1, 2]
                 low = start[y, x] - shallow
                 high = start[y, x] + deepest
                 # Planes of the pixels before this one.
@@ -423,16 +439,10 @@ def _patch_match(  # type: ignore[no-untyped-def]
                     d = depth[qy, qx] * (n0 * ox + n1 * oy + n2) / bottom
                     if d < low or d > high:
                         continue
-                    c = _plane_cost(
-                        grey, stack, sizes, Ki, A, b, px, py, cx, cy, mask, d, n0, n1, n2,
-                        samples, costs,
+                    _keep_better(
+                        grey, stack, sizes, Ki, A, b, x, y, cx, cy, mask, d, n0, n1, n2,
+                        samples, costs, depth, normal, cost,
                     )  # fmt: skip
-                    if c < cost[y, x]:
-                        cost[y, x] = c
-                        depth[y, x] = d
-                        normal[y, x, 0] = n0
-                        normal[y, x, 1] = n1
-                        normal[y, x, 2] = n2
                 steps = 4 if random_start else 3
                 for k in range(steps):
                     if random_start and k == 0 and iteration < 3:
@@ -458,13 +468,7 @@ def _patch_match(  # type: ignore[no-untyped-def]
                     n0, n1, n2 = n0 / size, n1 / size, n2 / size
                     if n0 * rx + n1 * ry + n2 > -0.1:
                         continue
-                    c = _plane_cost(
-                        grey, stack, sizes, Ki, A, b, px, py, cx, cy, mask, d, n0, n1, n2,
-                        samples, costs,
+                    _keep_better(
+                        grey, stack, sizes, Ki, A, b, x, y, cx, cy, mask, d, n0, n1, n2,
+                        samples, costs, depth, normal, cost,
                     )  # fmt: skip
-                    if c < cost[y, x]:
-                        cost[y, x] = c
-                        depth[y, x] = d
-                        normal[y, x, 0] = n0
-                        normal[y, x, 1] = n1
-                        normal[y, x, 2] = n2

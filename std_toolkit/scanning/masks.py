@@ -142,7 +142,7 @@ def consistent(
     """Photos whose masks agree with the visual hull of all of them.
 
     A pixel that the hull covers although its photo's mask does not, or the reverse, is decided
-    anew by colour.
+    again by colour.
 
     Args:
         views: photos with masks.
@@ -152,23 +152,11 @@ def consistent(
     """
     current = list(views)
     for n in range(rounds):
-        low, high = volume_of_masks(current)
-        step = float(((high - low).prod() / 1_000_000) ** (1 / 3))
-        grid = Grid.around(low, high, step)
-        field = hull_field(current, grid, allowed=max(1, len(current) // 12), threads=threads)
-        field = np.where(largest_component(field < 0) | (field >= 0), field, step)
-        vertices, faces = surface_of(field.astype(np.float32), grid)
-        if len(faces) == 0:
-            raise ToolkitError(
-                "the masks of the photos contradict each other",
-                hint="correct them with std-annotate and give them with --masks",
-            )
-        caster = RayCaster(vertices, faces, threads=1)
+        caster = _hull(current, cells=1_000_000, allowed=len(current) // 12, threads=threads)
 
         def one(i: int, caster: RayCaster = caster, band: int = 5 - n, now: Any = current) -> View:
             view = now[i]
-            whole = (0, 0, view.camera.width, view.camera.height)
-            inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
+            inside = _covered(view, caster)
             hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
             maybe = dilated(inside, band) & ~hidden
             if never is not None:
@@ -196,17 +184,11 @@ def with_hidden(
     """
     current = list(views)
     for _ in range(rounds):
-        low, high = volume_of_masks(current)
-        step = float(((high - low).prod() / 300_000) ** (1 / 3))
-        grid = Grid.around(low, high, step)
-        field = hull_field(current, grid, allowed=max(1, len(current) // 8), threads=threads)
-        field = np.where(largest_component(field < 0) | (field >= 0), field, step)
-        caster = RayCaster(*surface_of(field.astype(np.float32), grid), threads=1)
+        caster = _hull(current, cells=300_000, allowed=len(current) // 8, threads=threads)
 
         def one(i: int, caster: RayCaster = caster, now: Any = current) -> View:
             view = now[i]
-            whole = (0, 0, view.camera.width, view.camera.height)
-            inside = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
+            inside = _covered(view, caster)
             radius = max(2, round(0.02 * float(np.sqrt(inside.sum()))))
             thick = eroded(inside & ~view.possible & ~never[i], radius)
             if not thick.any():
@@ -218,6 +200,38 @@ def with_hidden(
 
         current = in_threads(one, range(len(current)), threads=threads)
     return current
+
+
+def _hull(views: Sequence[View], *, cells: int, allowed: int, threads: int) -> RayCaster:
+    """The largest part of the visual hull.
+
+    Args:
+        views: photos with masks.
+        cells: number of cells of its grid, about.
+        allowed: photos, at least one, whose masks may lack a point of the hull.
+        threads: number of threads.
+
+    Raises:
+        ToolkitError: the masks do not meet in space, or contradict each other.
+    """
+    low, high = volume_of_masks(views)
+    step = float(((high - low).prod() / cells) ** (1 / 3))
+    grid = Grid.around(low, high, step)
+    field = hull_field(views, grid, allowed=max(1, allowed), threads=threads)
+    field = np.where(largest_component(field < 0) | (field >= 0), field, step)
+    vertices, faces = surface_of(field.astype(np.float32), grid)
+    if len(faces) == 0:
+        raise ToolkitError(
+            "the masks of the photos contradict each other",
+            hint="correct them with std-annotate and give them with --masks",
+        )
+    return RayCaster(vertices, faces, threads=1)
+
+
+def _covered(view: View, caster: RayCaster) -> Mask:
+    """Pixels of a photo that the hull covers."""
+    whole = (0, 0, view.camera.width, view.camera.height)
+    return hull_depth(view, caster, np.zeros(3), whole)[0] > 0
 
 
 def _grab_cut(
