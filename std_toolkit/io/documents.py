@@ -58,7 +58,7 @@ def decode_document(data: bytes, type_: type[T], *, path: Path | str | None = No
     """As `read_document`, of bytes already read."""
     try:
         document = msgspec.json.decode(data, type=type_)
-        json.loads(data, object_pairs_hook=_refuse_twice)
+        json.loads(data, object_pairs_hook=refuse_twice)
     except msgspec.ValidationError as error:
         problem, _, at = str(error).partition(" - at `")
         place = at.strip("`").removeprefix("$").removeprefix(".")
@@ -130,11 +130,16 @@ def _join_number_lists(text: str) -> str:
     return _NUMBER_LIST.sub(lambda m: "[" + " ".join(m.group(1).split()) + "]", text)
 
 
-def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
+def refuse_twice(pairs: list[tuple[str, Any]]) -> None:
+    """Check that no key is given twice; the `object_pairs_hook` of json.
+
+    Raises:
+        ToolkitError: a key appears twice in one object.
+    """
     keys = [key for key, _ in pairs]
     if len(set(keys)) != len(keys):
         key = next(k for i, k in enumerate(keys) if k in keys[:i])
-        raise ToolkitError("a key appears twice in one object", field=key)
+        raise ToolkitError("a key appears twice in one object", field=key[:80])
 
 
 def plain_number(value: Any) -> Any:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import refuse_twice
 
 # Real YAML files of poses and cameras are below 100 kB and 10 levels.
 _LARGEST_YAML_BYTES = 1024 * 1024
@@ -87,12 +88,8 @@ def read_json(path: Path, *, largest_bytes: int = _LARGEST_JSON_BYTES) -> Any:
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(k for i, k in enumerate(keys) if k in keys[:i])
-        raise ToolkitError("a key appears twice in one object", field=twice[:80])
-    return found
+    refuse_twice(pairs)
+    return dict(pairs)
 
 
 def _plain_integer(digits: str) -> int:
