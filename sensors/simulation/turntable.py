@@ -30,7 +30,7 @@ from sensors.viewpoints.views import look_at
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
-from std_toolkit.geometry.obj_texture import CORNER_UV
+from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.importers.foreign_files import write_mesh
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import read_document, write_document
@@ -323,13 +323,18 @@ def _material(options: TurntableOptions) -> DrawnMaterial:
             specular=0.1,
             texture=DrawnTexture(kind="grain", tile_m=0.05, contrast=0.06, seed=options.seed),
         )
+    return _own_look(roughness=0.6, specular=0.25)
+
+
+def _own_look(*, roughness: float, specular: float) -> DrawnMaterial:
+    """A material that shows the colours of the object."""
     return DrawnMaterial(
         name="raw",
         material_class="raw",
         color=(0.5, 0.5, 0.5),
         own_share=1.0,
-        roughness=0.6,
-        specular=0.25,
+        roughness=roughness,
+        specular=specular,
     )
 
 
@@ -339,18 +344,11 @@ def _scene_object(mesh: Any, material: DrawnMaterial, T_world_obj: SE3) -> Scene
     visual = mesh.visual
     texture, uv, color = None, None, (0.5, 0.5, 0.5)
     if visual.kind == "texture":
-        picture = getattr(visual.material, "image", None) or getattr(
-            visual.material, "baseColorTexture", None
-        )
-        corners = np.asarray(mesh.face_attributes.get(CORNER_UV, ()))
-        if picture is not None:
-            texture = np.asarray(picture.convert("RGB"), np.uint8)
+        look = SurfaceColors.from_mesh(mesh, largest=None)
+        if look is not None and look.texture is not None:
+            texture = look.texture.astype(np.uint8)
             # A corner each: at seams, one vertex has several coordinates.
-            uv = (
-                corners.reshape(-1, 2)
-                if len(corners) == len(faces)
-                else np.asarray(visual.uv)[faces].reshape(-1, 2)
-            )
+            uv = look.corners.reshape(-1, 2).astype(np.float64)
             vertices = vertices[faces].reshape(-1, 3)
             faces = np.arange(len(vertices)).reshape(-1, 3)
     elif visual.defined:
@@ -388,14 +386,7 @@ def _sheet_objects(sheet: BoardSheet) -> tuple[SceneObject, SceneObject]:
                 ),
                 SE3(np.eye(3), np.array([0, 0, level])),
                 # Ink is not black and paper not white.
-                DrawnMaterial(
-                    name="raw",
-                    material_class="raw",
-                    color=(0.5, 0.5, 0.5),
-                    own_share=1.0,
-                    roughness=0.8,
-                    specular=0.2,
-                ),
+                _own_look(roughness=0.8, specular=0.2),
                 color=(shade, shade, shade),
             )
         )
