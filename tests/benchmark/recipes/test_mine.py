@@ -48,7 +48,7 @@ def test_weights_are_tuned_and_scored_on_other_scenes(scenes: Path, tmp_path: Pa
     assert score.frames == 2
     assert score.before > 0 and score.after > 0 and score.before != score.after
     assert {p.name for p in (tmp_path / "out/scenes/test").iterdir()} == {"c"}
-    # The same command again does nothing anew.
+    # The same command a second time does nothing.
     before = report.weights.stat().st_mtime_ns
     again = fine_tune(options(scenes, tmp_path / "out"))
     found = again.scores["scenes"]
