@@ -54,6 +54,9 @@ _OTHER_SHAPE = 3.0
 # Reflections give edges at which a pose is about as likely; up to this many limits away, they say
 # nothing against the label.
 _LOOSE = 1.5
+# A label from which no motion is significant keeps at least this part of the support above chance
+# that the images offer nearby. Right labels keep 0.81 or more on glass and steel.
+_KEPT_SUPPORT = 0.65
 # Contours further from the image than this differ in shape.
 _OFFSET_PX = 1.5
 
@@ -299,7 +302,11 @@ def _with_motion(
         ],
         "confirmed_share": round(support.frames, 4),
         "confirmed": item.print_verdict == "fits"
-        or (_is_supported(support) and not _is_loose(plain, options)),
+        or (
+            _is_supported(support)
+            and not _is_loose(plain, options)
+            and _keeps_support(motion, support, equations)
+        ),
     }
     return msgspec.structs.replace(item, **fields)
 
@@ -334,6 +341,17 @@ def _is_supported(support: Support) -> bool:
         _CLEAR_DEVIATIONS * support.deviation, _CLEAR_PART * (1 - support.chance)
     )
     return support.frames > 0.5 or together
+
+
+def _keeps_support(motion: Motion, support: Support, equations: Sequence[MotionEquations]) -> bool:
+    """Whether the label itself lies on edges, where the motion to better ones is not significant.
+
+    Reflections on steel leave the motion so uncertain that a wrong label may lie within it.
+    """
+    if motion.translation_mm[0] > 0 or motion.rotation_deg[0] > 0:
+        return True
+    label = pooled_support(equations, np.zeros(6))
+    return label.share - label.chance >= _KEPT_SUPPORT * (support.share - support.chance)
 
 
 def _is_loose(motion: Motion, options: CheckOptions) -> bool:
