@@ -52,6 +52,8 @@ class ResidualPanel(Panel):
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QtWidgets.QScrollArea.Shape.NoFrame)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        # In a small window the legend yields, so that no other part is covered.
+        scroll.setMinimumHeight(1)
         layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 4)
         layout.setSpacing(4)

@@ -156,11 +156,19 @@ def refine(hand: Hands) -> None:
     """All objects together; the picture of the whole window."""
     from PySide6.QtCore import Qt
 
+    from annotator.app.pose_checks import can_take_turn
+
     c = hand.controller
     hand.press(Qt.Key.Key_R, Qt.KeyboardModifier.ControlModifier)
     for name in ("soup_can", "mug", "bottle"):
         c.select(name)
         hand.wait(lambda name=name: name in c.residuals)
+        hand.wait(lambda name=name: name in c.prints)
+        if can_take_turn(c):
+            hand.press(Qt.Key.Key_Y)
+            hand.press(Qt.Key.Key_R)
+            hand.settle()
+            hand.wait(lambda name=name: name in c.residuals)
     hand.settle()
     hand.space.banner.notices.clear()
     _save("annotating_window", numbered(hand.picture(), parts(hand)))
@@ -266,7 +274,10 @@ def _empty_place(picture: Image, widget: QWidget) -> tuple[int, int]:
     around = np.ones((2 * _DISC + 1, 2 * _DISC + 1), np.uint8)
     spread = (cv2.dilate(part, around).astype(int) - cv2.erode(part, around)).sum(axis=2)
     inside = np.full(spread.shape, 1e6)
-    inside[_DISC:-_DISC, _DISC:-_DISC] = spread[_DISC:-_DISC, _DISC:-_DISC]
+    # In a bar that is lower than the disc, only its middle row counts.
+    rim = min(_DISC, (len(part) - 1) // 2)
+    rows = slice(rim, len(part) - rim)
+    inside[rows, _DISC:-_DISC] = spread[rows, _DISC:-_DISC]
     y, x = np.nonzero(inside <= max(_FLAT, inside.min()))
     nearest = np.argmin(x.astype(int) + y)
     return left + int(x[nearest]), top + int(y[nearest])

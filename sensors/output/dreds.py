@@ -100,7 +100,8 @@ class DredsWriter:
 
         images.write_color(path("_color.png"), frame.color)
         images.write_png(path("_ir_l.png"), frame.infrared_left)
-        images.write_png(path("_ir_r.png"), frame.infrared_right)
+        if frame.infrared_right is not None:
+            images.write_png(path("_ir_r.png"), frame.infrared_right)
         raw = np.where(frame.depth_aligned > 0, frame.depth_aligned, NO_MEASUREMENT)
         _write_equal(path("_simDepthImage.exr"), raw)
         _write_equal(path("_depth_0.exr" if self._novel else "_depth_120.exr"), frame.depth_exact)

@@ -152,7 +152,8 @@ class SimulatedFrame:
     Attributes:
         index: of the frame in its scene, from 0.
         color: (H, W, 3) uint8 RGB.
-        infrared_left, infrared_right: (h, w) uint8, the rectified pair.
+        infrared_left, infrared_right: (h, w) uint8, the rectified pair; a camera with one infrared
+            imager has no right image.
         depth_sensor: float32 z-depth in metres as measured by the sensor, left infrared camera; 0 =
             no measurement, as in every depth map here.
         depth_exact_infrared: float32 exact z-depth, left infrared camera; 0 = no surface.
@@ -174,7 +175,7 @@ class SimulatedFrame:
     index: int
     color: Image8
     infrared_left: Image8
-    infrared_right: Image8
+    infrared_right: Image8 | None
     depth_sensor: Map
     depth_exact_infrared: Map
     mask_infrared: Image8
@@ -195,7 +196,8 @@ class SimulatedFrame:
         color, infrared = _shape(self.color_camera), _shape(self.infrared_camera)
         _check_array("color", self.color, np.uint8, (*color, 3))
         for name in ("infrared_left", "infrared_right"):
-            _check_array(name, getattr(self, name), np.uint8, infrared)
+            if name == "infrared_left" or self.infrared_right is not None:
+                _check_array(name, getattr(self, name), np.uint8, infrared)
         _check_proportions("mask", self.mask, self.color_camera)
         _check_proportions("depth_sensor", self.depth_sensor, self.infrared_camera)
         labels, sensor = self.mask.shape[:2], self.depth_sensor.shape[:2]

@@ -82,7 +82,8 @@ class ToolkitSceneWriter:
             folder / f"reference/depth/{name}.exr", {"Y": frame.depth_exact}, compression="zip"
         )
         images.write_png(folder / f"infrared/left/{name}.png", frame.infrared_left)
-        images.write_png(folder / f"infrared/right/{name}.png", frame.infrared_right)
+        if frame.infrared_right is not None:
+            images.write_png(folder / f"infrared/right/{name}.png", frame.infrared_right)
         rows = self._truth_rows(frame)
         if not rows:  # only labelled objects have ground truth
             return

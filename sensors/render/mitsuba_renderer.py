@@ -243,6 +243,35 @@ class MitsubaScene:
         )
         return ColorLight(radiance, *features)
 
+    def phasors(
+        self,
+        camera: Camera,
+        T_world_cam: SE3,
+        lamp: Projector,
+        waves: Sequence[float],
+        *,
+        options: RenderOptions = DRAFT_INFRARED,
+        seed: int = 0,
+    ) -> NDArray[np.complex64]:
+        """See `PathTracer.phasors`.
+
+        Raises:
+            ToolkitError: the variant is not compiled.
+        """
+        if self._variant.startswith("scalar"):
+            raise ToolkitError(
+                "only compiled variants of Mitsuba measure the lengths of light paths",
+                field="variant",
+                value=self._variant,
+                hint="install libllvm19 (tools/system-libraries simulator does)",
+            )
+        check_no_distortion("mitsuba", camera)
+        self._mi.set_variant(self._variant)
+        found = self._tracer(infrared=True).phasors(
+            camera, T_world_cam, lamp, waves, options=options, seed=seed
+        )
+        return np.asarray(found, np.complex64)
+
     def first_hits(
         self, camera: Camera, T_world_cam: SE3
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

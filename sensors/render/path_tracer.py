@@ -125,7 +125,8 @@ class PathTracer:
             options.diffuse_bounces,
             options.roulette_depth,
             indirect,
-        )
+            [],
+        )[0]
         chunk = options.chunk or options.samples
         parts = [(light.x + light.y + light.z) / 3] if grey else [light.x, light.y, light.z]
         dr.eval(*parts)  # together: separately, every sum would run the whole kernel
@@ -134,6 +135,44 @@ class PathTracer:
         shape = (-1, camera.width, count // chunk)
         means = [np.array(s).reshape(shape) / np.float32(chunk) for s in sums]
         return np.stack(means, axis=-1)
+
+    def phasors(
+        self,
+        camera: Camera,
+        T_world_cam: SE3,
+        lamp: sim_scene.Projector,
+        waves: Sequence[float],
+        *,
+        options: sim_renderer.RenderOptions,
+        seed: int,
+    ) -> NDArray[np.complex64]:
+        """(F, H, W) complex64: mean of `light * exp(i wave * length)` over the paths of a pixel.
+
+        The length is that of a path from the lamp over the surfaces to the camera, metres; the
+        waves are in radians per metre. Only the lamp's light counts.
+        """
+        ray, count = self._rays(camera, T_world_cam, options.samples, seed, regular=True)
+        _, real, imaginary = _trace(
+            self._shapes,
+            self._glass,
+            None,
+            self._far,
+            self._sampler,
+            ray,
+            self._beam(lamp, _ALONE),
+            _data(0),
+            options.max_depth,
+            options.diffuse_bounces,
+            options.roulette_depth,
+            False,
+            [_data(wave) for wave in waves],
+        )
+        dr.eval(*real, *imaginary)
+        sums = [dr.block_sum(part, count) for part in (*real, *imaginary)]
+        dr.eval(*sums)
+        shape = (2, len(waves), camera.height, camera.width)
+        parts = np.stack([np.array(s) for s in sums]).reshape(shape) / np.float32(count)
+        return np.asarray(parts[0] + 1j * parts[1], np.complex64)
 
     def features(
         self, camera: Camera, T_world_cam: SE3 | Sequence[SE3], *, samples: int, seed: int
@@ -259,6 +298,11 @@ def _glass_of(item: sim_scene.SceneObject) -> glass.GlassSurface | None:
     return glass.GlassSurface(material, item.material.color, bool(solid), item.instance_id)
 
 
+def _turned(sums: list[Any], waves: list[Any], amount: Any, length: Any, turn: Any) -> list[Any]:
+    """Sums of light times the cosine or sine of its phase, one for each wave."""
+    return [s + amount * turn(wave * length) for s, wave in zip(sums, waves, strict=True)]
+
+
 @dr.syntax
 def _features(shapes, table, ray_in):  # type: ignore[no-untyped-def]
     """Albedo of the first surface that is not glass, and the normal of the first one."""
@@ -317,10 +361,12 @@ def _trace(  # type: ignore[no-untyped-def]
     diffuse_bounces,
     roulette,
     indirect,
+    waves,
 ):
-    """Radiance along rays.
+    """Radiance along rays, and the beam's light times cosine and sine of `wave * length`.
 
-    Depths, `indirect` and the existence of beam and sky are compile-time constants.
+    Depths, `indirect`, the number of waves and the existence of beam and sky are compile-time
+    constants.
     """
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray_in)
@@ -331,8 +377,14 @@ def _trace(  # type: ignore[no-untyped-def]
     last_pdf = mi.Float(dr.inf)
     active = mi.Bool(True)
     last_share = mi.Float(1)
+    # Length of the path so far; a length in glass counts as in air.
+    length = mi.Float(0)
+    real = [mi.Float(0) for _ in waves]
+    imaginary = [mi.Float(0) for _ in waves]
     while dr.hint(active, label="path"):
         si = shapes.everything.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
+        if dr.hint(len(waves) > 0, mode="scalar"):
+            length += dr.select(si.is_valid(), si.t, 0)
         if dr.hint(sky is not None, mode="scalar"):
             # Only the sky emits light: rays that leave the scene add its radiance.
             left = active & ~si.is_valid()
@@ -365,11 +417,17 @@ def _trace(  # type: ignore[no-untyped-def]
             value[face.clear] = mi.Spectrum(glass.scattered(face, si, ray.d, to_beam))
             asks_beam &= dr.max(value) > 0
             value *= irradiance / chance
-            light[asks_beam] += (
+            arrived = (
                 throughput
                 * value
                 * _unblocked(shapes.opaque, shapes.glass, table, si, beam.frame.origin, asks_beam)
             )
+            light[asks_beam] += arrived
+            if dr.hint(len(waves) > 0, mode="scalar"):
+                amount = dr.select(asks_beam, (arrived.x + arrived.y + arrived.z) / 3, 0)
+                whole = length + dr.norm(si.p - beam.frame.origin)
+                real = _turned(real, waves, amount, whole, dr.cos)
+                imaginary = _turned(imaginary, waves, amount, whole, dr.sin)
         opaque = going & ~face.clear
         scattered, last = mi.Bool(False), mi.Bool(False)
         if dr.hint(sky is not None, mode="scalar"):
@@ -426,4 +484,4 @@ def _trace(  # type: ignore[no-untyped-def]
         alive = sampler.next_1d(going) < survival
         throughput[tested] *= dr.rcp(survival)
         active = going & ~last & (brightest > 0) & (~tested | alive)
-    return light
+    return light, real, imaginary

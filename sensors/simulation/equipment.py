@@ -1,4 +1,4 @@
-"""Sensor, sources and matcher of a data set, checked before any work begins.
+"""Sensor, depth model and sources of a data set, checked before any work begins.
 
 Category-agnostic scenes have real objects arranged as in a scene of GraspNet-1Billion. The seed
 selects the scene; materials, floor, light and viewpoints are drawn as for dropped objects. As in
@@ -7,19 +7,17 @@ that data set, scenes 0 to 99 are for training and the others for testing.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from sensors.assets import Asset, AssetSource, SourceOptions, open_source
+from sensors.depth_models import DepthModel, DepthModelOptions, make_depth_model
 from sensors.lighting import environment, environment_sources, light_draw
-from sensors.pattern import DotPattern, load_pattern, make_pattern
 from sensors.physics import GraspNetScenes
 from sensors.simulation.options import SimulationOptions
 from sensors.specs import SensorSpec, load_sensor
-from sensors.stereo import StereoMatcher, make_matcher
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 
@@ -34,17 +32,16 @@ class Equipment:
     """Everything that a data set is made with, apart from the renderer.
 
     Attributes:
-        cameras: infrared, and colour at the size of the labels.
-        picture: image that the projector shows in every scene; None: each scene has its own.
+        depth_model: how the sensor measures depth.
+        label_camera: colour at the size of the labels.
         arrangements: given object poses; None if objects are dropped.
     """
 
     sensor: SensorSpec
-    cameras: tuple[Camera, Camera]
-    matcher: StereoMatcher
+    depth_model: DepthModel
+    label_camera: Camera
     assets: AssetSource
     environments: environment_sources.EnvironmentSource
-    picture: DotPattern | None
     arrangements: Arrangements | None
 
     @staticmethod
@@ -55,44 +52,29 @@ class Equipment:
             ToolkitError: an unknown or unusable sensor, image size, matcher, source or pattern.
         """
         sensor = load_sensor(options.sensor)
-        size = (options.width, options.height)
-        cameras = sensor.infrared_camera(*size), sensor.color_camera(*size)
-        low, high = sensor.disparity_range(*size)
-        # The released matcher has its own fixed search range.
-        own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
-        if options.matcher == "local":
-            own["threads"] = threads or len(os.sched_getaffinity(0))
+        model = make_depth_model(
+            sensor,
+            DepthModelOptions(
+                width=options.width,
+                height=options.height,
+                matcher=options.matcher,
+                pattern=None if options.pattern is None else Path(options.pattern),
+                pattern_fov_deg=options.pattern_fov_deg,
+                noise=options.infrared_noise,
+                threads=threads,
+            ),
+        )
         if options.floors is not None:
             environment.files_of_split(options.floors, options.split, light_draw.IMAGE_SUFFIXES)
         root = None if options.assets_root is None else Path(options.assets_root)
         return Equipment(
             sensor,
-            cameras,
-            make_matcher(options.matcher, **own),
+            model,
+            sensor.color_camera(options.width, options.height),
             open_source(options.assets, SourceOptions(root=root, split=options.split)),
             environment_sources.environment_source(options.environments, split=options.split),
-            _picture(sensor, options),
             Arrangements(options) if options.scenes_from == "graspnet" else None,
         )
-
-    def pattern(self, seed: int) -> DotPattern | None:
-        """What the projector shows; None if the sensor has none.
-
-        Args:
-            seed: of the pattern, unused if the data set has a picture.
-        """
-        if self.sensor.projector is None:
-            return None
-        return self.picture or make_pattern(self.sensor, seed=seed)
-
-
-def _picture(sensor: SensorSpec, options: SimulationOptions) -> DotPattern | None:
-    if options.pattern is None:
-        return None
-    if sensor.projector is None:
-        raise ToolkitError("this sensor has no projector", field="pattern", value=sensor.name)
-    fov = options.pattern_fov_deg or sensor.projector.fov_deg[0]
-    return load_pattern(Path(options.pattern), fov_x_deg=fov)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,7 +38,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """One data set. These options and a scene's seed determine every pixel of the scene."""
 
     sensor: str = "d415"
-    """d415, d435, d455 or the path of a specification"""
+    """d415, d435, d455, azure_kinect or the path of a specification"""
     views: Count = 30
     """frames of a scene"""
     order: ViewOrder = "random"

@@ -1,4 +1,4 @@
-"""From a scene's seed to its frames: light, exposure, stereo matching, exact maps."""
+"""From a scene's seed to its frames: light, exposure, the sensor's depth, exact maps."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.align import align_depth
+from sensors.depth_models import Illumination, Reading
 from sensors.lighting.light_draw import PROJECTOR_POWER
 from sensors.output.simulated_frame import SimulatedFrame
-from sensors.pattern import DotPattern
-from sensors.render import color_image, infrared_image, sim_renderer, sim_scene
+from sensors.render import color_image, sim_renderer, sim_scene
 from sensors.simulation.equipment import DRESSED_AS, Equipment
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import draw_scene, dress_scene, generator
 from sensors.simulation.world_builder import World, build_world
-from sensors.stereo import disparity_to_depth
-from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.geometry.se3 import SE3
 
-# Materials on which an active stereo camera does not measure the surface.
+# Materials on which a depth camera does not measure the surface.
 CUT_MATERIALS = ("transparent", "specular")
 
 
@@ -50,19 +48,18 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Rendered light of a view, before camera and matcher.
+    """Rendered light of a view, before the cameras.
 
     Attributes:
         seed: of the noise of this frame.
-        left, right: (h, w) float32 infrared radiance.
+        infrared: what the depth model received.
     """
 
     index: int
     T_world_cam: SE3
     T_world_ir: SE3
     seed: int
-    left: NDArray[np.float32]
-    right: NDArray[np.float32]
+    infrared: Any
     color: sim_renderer.ColorLight
 
 
@@ -73,7 +70,7 @@ class Simulator:
         options: of the data set.
         renderer: name of the renderer plug-in.
         parts_cache: folder that caches the objects' convex parts across runs.
-        threads: of renderer, denoiser and matcher; None uses all cores. With more than one, the
+        threads: of renderer, denoiser and depth model; None uses all cores. With more than one, the
             single-threaded work (exact maps, images, alignment) is done while the next view
             renders; the frames are identical to the bit.
 
@@ -96,15 +93,12 @@ class Simulator:
         self._assets, self._environments = equipment.assets, equipment.environments
         self._arrangements = equipment.arrangements
         self._threads = threads
-        self._matcher = equipment.matcher
-        self._infrared_camera, self._label_camera = equipment.cameras
+        self._depth_model = equipment.depth_model
+        self._label_camera = equipment.label_camera
         self._color_camera = self._label_camera.resized(
             options.color_factor * options.width, options.color_factor * options.height
         )
         self._quality = sim_renderer.quality_of(options.quality)
-        self._equipment = equipment
-        # The last pattern: frames of one scene, in any number of calls, share it.
-        self._pattern: tuple[int, DotPattern | None] | None = None
         self._parts_cache = parts_cache
         self._renderer = sim_renderer.SIM_RENDERERS.get(renderer)(threads=threads)
 
@@ -178,22 +172,15 @@ class Simulator:
         with self.stopwatch.part("load"):
             loaded.change(look.environment, look.rotation_rad, look.floor)
         T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
-        projector = None
-        pattern = self._pattern_of(world.draw.pattern_seed)
-        if pattern is not None and self._sensor.projector is not None:
-            projector = sim_scene.Projector(
-                pattern.image,
-                pattern.fov_x_deg,
-                T_world_ir @ self._sensor.projector.T_ir_projector,
-                power=PROJECTOR_POWER * light.projector_factor,
-            )
-        T_left_right = SE3(np.eye(3), np.array([self._sensor.baseline_m, 0.0, 0.0]))
         with self.stopwatch.part("infrared"):
-            left, right = loaded.infrared_pair(
-                self._infrared_camera,
-                (T_world_ir, T_world_ir @ T_left_right),
-                projector,
-                ambient=light.infrared_strength,
+            infrared = self._depth_model.look(
+                loaded,
+                T_world_ir,
+                Illumination(
+                    ambient=light.infrared_strength,
+                    power=PROJECTOR_POWER * light.projector_factor,
+                    pattern_seed=world.draw.pattern_seed,
+                ),
                 options=self._quality.infrared,
                 seed=seed,
             )
@@ -205,21 +192,16 @@ class Simulator:
                 options=self._quality.color,
                 seed=seed,
             )
-        return _Seen(index, T_world_cam, T_world_ir, seed, left, right, color)
+        return _Seen(index, T_world_cam, T_world_ir, seed, infrared, color)
 
     def _frame(self, world: World, truth: sim_scene.TruthCaster, view: _Seen) -> SimulatedFrame:
         """Images, depth and labels of a rendered view."""
-        part = self.stopwatch.part
+        part, camera = self.stopwatch.part, self._depth_model.camera
         with part("exact maps"):
             exact = truth.maps(self._label_camera, view.T_world_cam)
-            depth_exact_ir, mask_ir = truth.depth_and_mask(self._infrared_camera, view.T_world_ir)
-        with part("images"):
-            left, right, _ = infrared_image.expose_pair(
-                view.left,
-                view.right,
-                rng=np.random.default_rng([view.seed, 0]),
-                response=infrared_image.InfraredResponse(noise=self.options.infrared_noise),
-            )
+            depth_exact_ir, mask_ir = truth.depth_and_mask(camera, view.T_world_ir)
+        with part("depth"):
+            reading = self._depth_model.read(view.infrared, seed=view.seed)
         with part("denoise"):
             fast = self._quality.color.fast_denoiser
             clean = color_image.denoise(view.color, threads=self._threads, fast=fast)
@@ -231,24 +213,24 @@ class Simulator:
                 response=responses[view.index] if responses else None,
             )
         if self.options.depth == "cut":
-            depth_ir = self._cut(world, depth_exact_ir, mask_ir)
+            reading = Reading(
+                self._cut(world, depth_exact_ir, mask_ir), reading.left, reading.right
+            )
             aligned = self._cut(world, exact.depth, exact.mask)
         else:
-            with part("matching"):
-                depth_ir = self._measured(left, right, np.random.default_rng([view.seed, 2]))
             with part("alignment"):
                 aligned = align_depth(
-                    depth_ir,
-                    self._infrared_camera,
+                    reading.depth,
+                    camera,
                     self._label_camera,
                     self._sensor.pose_of_color.inverse(),
                 )
         return SimulatedFrame(
             index=view.index,
             color=color,
-            infrared_left=left,
-            infrared_right=right,
-            depth_sensor=depth_ir,
+            infrared_left=reading.left,
+            infrared_right=reading.right,
+            depth_sensor=reading.depth,
             depth_exact_infrared=depth_exact_ir,
             mask_infrared=mask_ir,
             depth_aligned=aligned,
@@ -259,31 +241,12 @@ class Simulator:
             T_world_cam=view.T_world_cam,
             T_world_ir=view.T_world_ir,
             color_camera=self._color_camera,
-            infrared_camera=self._infrared_camera,
-        )
-
-    def _pattern_of(self, seed: int) -> DotPattern | None:
-        if self._pattern is None or self._pattern[0] != seed:
-            self._pattern = seed, self._equipment.pattern(seed)
-        return self._pattern[1]
-
-    def _measured(
-        self, left: NDArray[np.uint8], right: NDArray[np.uint8], rng: np.random.Generator
-    ) -> NDArray[np.float32]:
-        disparity = self._matcher.match(left, right)
-        if self.options.infrared_noise:
-            disparity = with_noise(disparity, rng)
-        near, far = self._sensor.depth.range_m
-        return disparity_to_depth(
-            disparity,
-            focal_px=self._infrared_camera.fx,
-            baseline_m=self._sensor.baseline_m,
-            range_m=(near, far),
+            infrared_camera=camera,
         )
 
     def _cut(
         self, world: World, depth: NDArray[np.float32], mask: NDArray[np.uint8]
     ) -> NDArray[np.float32]:
-        """Exact depth without the objects that a stereo sensor does not measure."""
+        """Exact depth without the objects that the sensor does not measure."""
         ids = [o.instance_id for o in world.record.objects if o.material_class in CUT_MATERIALS]
         return np.where(np.isin(mask, ids), np.float32(0), depth)

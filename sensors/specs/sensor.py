@@ -68,6 +68,33 @@ class ProjectorSpec(document.Document, frozen=True, kw_only=True):
         return SE3.from_quat([np.cos(angle), 0, 0, np.sin(angle)], self.position_m)
 
 
+class TimeOfFlightSpec(document.Document, frozen=True, kw_only=True):
+    """A camera that measures the phase of modulated light (amplitude-modulated continuous wave).
+
+    Amplitudes are relative to that of a white diffuse surface that faces the camera at 1 m.
+
+    Attributes:
+        frequencies_hz: modulation frequencies; together they determine the distance.
+        illuminator_m: position of the light in the frame of the infrared camera. It looks along
+            that camera's axis.
+        illumination_deg: full angles, across and down, that the light covers.
+        least_amplitude: a pixel with a smaller mean amplitude has no depth.
+        most_phase_error_rad: a pixel whose phases fit no common distance better than this has no
+            depth: light of several path lengths.
+        read_noise: standard deviation of a measured amplitude without light.
+        shot_noise: standard deviation that light of amplitude 1 adds.
+    """
+
+    frequencies_hz: Annotated[list[Annotated[float, msgspec.Meta(gt=1e6, lt=1e9)]],
+                              msgspec.Meta(min_length=1, max_length=8)]  # fmt: skip
+    illuminator_m: document.Vector3
+    illumination_deg: Angles
+    least_amplitude: document.Positive
+    most_phase_error_rad: document.Positive
+    read_noise: document.NonNegative
+    shot_noise: document.NonNegative
+
+
 class DepthSpec(document.Document, frozen=True, kw_only=True):
     """Properties of the depth stream.
 
@@ -75,15 +102,15 @@ class DepthSpec(document.Document, frozen=True, kw_only=True):
         field_of_view_deg: full angles, across and down.
         unit_m: metres per unit of the 16-bit depth image.
         range_m: nearest and farthest depth that is reported.
-        disparities: number of disparities that the matcher searches, at any image size.
-        noise_px: standard deviation of the disparity on a well textured surface.
+        disparities: number of disparities that a stereo camera searches, at any image size.
+        noise_px: standard deviation of a stereo camera's disparity on a well textured surface.
     """
 
     field_of_view_deg: Angles
     unit_m: document.Positive
     range_m: Range
-    disparities: Annotated[int, msgspec.Meta(ge=16, le=512)]
-    noise_px: document.NonNegative
+    disparities: Annotated[int, msgspec.Meta(ge=16, le=512)] | None = None
+    noise_px: document.NonNegative = 0.0
 
     def check(self) -> None:
         if not self.range_m[0] < self.range_m[1]:
@@ -91,16 +118,19 @@ class DepthSpec(document.Document, frozen=True, kw_only=True):
 
 
 class SensorSpec(document.Document, frozen=True, kw_only=True):
-    """An active stereo depth camera.
+    """A depth camera: active stereo, time of flight, or a plug-in's principle.
 
     Attributes:
         name: short name, as on the command line.
         title: full name.
-        infrared: intrinsics of both infrared cameras (they are rectified) per image size.
+        depth_model: name of the model that computes its depth, `stereo` or `time_of_flight`; see
+            `sensors.depth_models`.
+        infrared: intrinsics of the infrared cameras (they are rectified) per image size.
         color: intrinsics of the colour camera per image size.
-        baseline_m: from the left infrared camera to the right one, along x.
+        baseline_m: from the left infrared camera to the right one, along x; 0 with one camera.
         T_ir_color: pose of the colour camera in the left infrared one, whose frame is depth's.
         projector: of dots, or null for a passive camera.
+        time_of_flight: modulation, light and noise of a time-of-flight camera, or null.
         depth: range, unit and noise.
         sources: field (`infrared`, `depth.noise_px`, ...) to the origin of its figures. A field
             includes those below it.
@@ -110,10 +140,12 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
     title: str
     infrared: Annotated[list[CameraModel], msgspec.Meta(min_length=1)]
     color: Annotated[list[CameraModel], msgspec.Meta(min_length=1)]
-    baseline_m: Annotated[float, msgspec.Meta(gt=0, lt=1)]
     T_ir_color: document.Pose16
-    projector: ProjectorSpec | None
     depth: DepthSpec
+    depth_model: str = "stereo"
+    baseline_m: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
+    projector: ProjectorSpec | None = None
+    time_of_flight: TimeOfFlightSpec | None = None
     sources: dict[str, Source] = msgspec.field(default_factory=dict)
 
     def check(self) -> None:
@@ -129,6 +161,17 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
                     field="infrared",
                     value=camera.distortion,
                 )
+        if self.depth_model == "stereo":
+            for name, value in (
+                ("baseline_m", self.baseline_m),
+                ("depth.disparities", self.depth.disparities),
+            ):
+                if not value:
+                    raise InvalidDocument("a stereo camera needs it", field=name, value=value)
+        if self.depth_model == "time_of_flight" and self.time_of_flight is None:
+            raise InvalidDocument(
+                "a time-of-flight camera needs it", field="time_of_flight", value=None
+            )
         known = figures(self)
         for field in self.sources:
             if field not in known:
@@ -138,6 +181,20 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
                     value=field,
                     hint=f"known: {', '.join(known)}",
                 )
+
+    def depth_camera(self, width: int, height: int) -> Camera:
+        """The infrared camera for colour images of this size.
+
+        It has that size where the aspect ratio exists, as in stereo cameras. Otherwise it is the
+        smallest listed one that is not narrower, or the widest.
+        """
+        if any(abs(m.width * height / (m.height * width) - 1) < SAME_ASPECT for m in self.infrared):
+            return self.infrared_camera(width, height)
+        wide = [m for m in self.infrared if m.width >= width]
+        chosen = (
+            min(wide, key=lambda m: m.width) if wide else max(self.infrared, key=lambda m: m.width)
+        )
+        return chosen.camera()
 
     def infrared_camera(self, width: int, height: int) -> Camera:
         """Both infrared cameras, and the depth image, at this size; see `camera_of_size`."""
@@ -157,7 +214,14 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
 
         The largest is also bounded by the number of disparities that the camera searches, which
         determines its nearest depth at large sizes.
+
+        Raises:
+            ToolkitError: not a stereo camera.
         """
+        if self.depth.disparities is None or not self.baseline_m:
+            raise ToolkitError(
+                "not a stereo camera", field="depth_model", value=f"{self.name}: {self.depth_model}"
+            )
         fb = self.infrared_camera(width, height).fx * self.baseline_m
         near, far = self.depth.range_m
         # The ends of a matcher's range are never winners: add one on each side.
@@ -168,13 +232,13 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
 
 def camera_of_size(models: list[CameraModel], width: int, height: int, field: str) -> Camera:
     """The camera of an image of this size.
+
     A listed size is used unchanged, because a real camera's firmware crops and rounds in its own
     way. Any other is scaled from the largest of the same aspect ratio: edges of the image map to
     edges, and pixel centres are at integers.
-        edges and pixel centres at whole numbers.
 
-        Raises:
-            ToolkitError: no image of this aspect ratio is listed.
+    Raises:
+        ToolkitError: no image of this aspect ratio is listed.
     """
     for model in models:
         if (model.width, model.height) == (width, height):
@@ -195,11 +259,13 @@ def camera_of_size(models: list[CameraModel], width: int, height: int, field: st
 
 def figures(spec: SensorSpec) -> list[str]:
     """Names of all fields with figures, as keys of `sources`."""
-    names = ["infrared", "color", "baseline_m", "T_ir_color", "depth"]
-    names += [f"depth.{field}" for field in DepthSpec.__struct_fields__]
-    if spec.projector is not None:
-        names += ["projector"]
-        names += [f"projector.{field}" for field in ProjectorSpec.__struct_fields__]
+    stereo = ["baseline_m"] if spec.baseline_m else []
+    names = ["infrared", "color", *stereo, "T_ir_color", "depth"]
+    only_stereo = () if spec.depth.disparities else ("disparities", "noise_px")
+    names += [f"depth.{f}" for f in DepthSpec.__struct_fields__ if f not in only_stereo]
+    for part in ("projector", "time_of_flight"):
+        if (value := getattr(spec, part)) is not None:
+            names += [part, *(f"{part}.{field}" for field in value.__struct_fields__)]
     return names
 
 

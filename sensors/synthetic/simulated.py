@@ -220,7 +220,7 @@ class _Recorder:
         from sensors.output.recording_writer import write_truth
         from sensors.simulation.equipment import Equipment
 
-        _, camera = Equipment.of(self.simulator.options).cameras
+        camera = Equipment.of(self.simulator.options).label_camera
         poses: list[SE3] = list(self.world.T_world_cam)
         return write_truth(self.out, self.world.record, camera, poses, depth_scale=DEPTH_SCALE)
 

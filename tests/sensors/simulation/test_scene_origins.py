@@ -112,12 +112,12 @@ def test_the_pattern_is_that_of_the_file(tmp_path: Path) -> None:
     image[10, 20] = 255
     path = tmp_path / "dot.png"
     cv2.imwrite(str(path), image)
-    pattern = Equipment.of(options(pattern=str(path))).pattern(0)
+    pattern = Equipment.of(options(pattern=str(path))).depth_model.pattern(0)
     assert pattern is not None
     projector = load_sensor("d415").projector
     assert projector is not None and pattern.fov_x_deg == projector.fov_deg[0]
     np.testing.assert_array_equal(pattern.image * 255, image)
-    wider = Equipment.of(options(pattern=str(path), pattern_fov_deg=90.0)).pattern(0)
+    wider = Equipment.of(options(pattern=str(path), pattern_fov_deg=90.0)).depth_model.pattern(0)
     assert wider is not None and wider.fov_x_deg == 90
 
 
