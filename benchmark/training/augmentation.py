@@ -14,16 +14,23 @@ from collections.abc import Callable, Sequence
 import kornia.augmentation as ka
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample
+from torch.nn.functional import avg_pool2d, grid_sample, interpolate
 
-from benchmark.data.frame import BACKGROUND
+from benchmark.data.frame import BACKGROUND, Material
 from benchmark.training.step import ModelInput
 
 Change = Callable[[Tensor], Tensor]
 
 _PATCHES, _TONES, _NOISES, _GAPS = 0.1, 0.3, 0.2, 0.2  # shares of the images
 
-_LOST_OBJECT = 0.5  # chance of an object to lose depth in a frame that loses some
+# Chances of an object to be measured otherwise, in a frame with such objects.
+_REPLACED_CLEAR, _REPLACED_OPAQUE = 0.6, 0.15
+# Ways of it, as limits of a uniform draw: no depth, specks, background, true depth, then patches.
+_WAYS = (0.25, 0.4, 0.65, 0.75)
+_PATCH = 24  # px, size of patches
+_PATCH_LIMITS = (0.35, 0.7)  # background below, no depth above, else as the sensor has it
+_SPECKS = 0.1  # largest share of missing readings beside the way "specks"
+_NOISE = 0.002  # relative
 
 _TURN = math.radians(5.0)  # at most, either way
 
@@ -74,23 +81,74 @@ def jitter() -> Change:
 
 
 @torch.no_grad()
-def lose_objects(depth: Tensor, mask: Tensor, share: float) -> Tensor:
-    """Sensor depth of which a share of the frames has lost some objects, or most of their pixels.
+def replace_objects(
+    depth: Tensor, true: Tensor, mask: Tensor, materials: Tensor, share: float
+) -> Tensor:
+    """Sensor depth in which some objects are measured otherwise, in a share of the frames.
+
+    Each such object has no depth at all, no depth in specks, the depth of what is behind it, its
+    true depth, or patches of all of these. Glass and metal are chosen more often than the others.
 
     Args:
-        depth: (b, 1, h, w) metres.
+        depth: (b, 1, h, w) metres, 0 = none.
+        true: (b, h, w) exact depth, 0 = none.
         mask: (b, h, w) uint8 instance ids, 255 elsewhere.
+        materials: (b, 256) `Material` of each instance, 255 = none.
         share: of the frames.
     """
     b, _, h, w = depth.shape
-    hit = torch.rand(b, 256, device=depth.device) < _LOST_OBJECT
-    hit &= torch.rand(b, 1, device=depth.device) < share
+    on = depth.device
+    clear = (materials == Material.SPECULAR) | (materials == Material.TRANSPARENT)
+    hit = torch.rand(b, 256, device=on) < torch.where(clear, _REPLACED_CLEAR, _REPLACED_OPAQUE)
+    hit &= torch.rand(b, 1, device=on) < share
     hit[:, 255] = False
-    objects = hit.gather(1, mask.flatten(1).long()).reshape(b, h, w)
-    # Of an object, a share of its own is lost, in specks as sensors lose them.
-    density = torch.rand(b, 256, device=depth.device).gather(1, mask.flatten(1).long())
-    lost = objects & (torch.rand(b, h, w, device=depth.device) < density.reshape(b, h, w))
-    return depth.masked_fill(lost[:, None], 0.0)
+
+    def of_objects(values: Tensor) -> Tensor:
+        return values.gather(1, mask.flatten(1).long()).reshape(b, h, w)
+
+    objects = of_objects(hit)
+    if not objects.any():
+        return depth
+    way = of_objects(torch.rand(b, 256, device=on))
+    patches = _patches(b, h, w, on)
+    gone, specks, behind, measured = (way < limit for limit in _WAYS)
+    patched = ~measured
+    measured, behind = measured & ~behind, behind & ~specks
+    specks = specks & ~gone
+    behind = behind | (patched & (patches < _PATCH_LIMITS[0]))
+    gone = gone | (patched & (patches > _PATCH_LIMITS[1]))
+    # Readings are missing here and there in every case, by a share of the object's own.
+    missing = torch.rand(b, h, w, device=on) < torch.where(specks, 1.0, _SPECKS) * of_objects(
+        torch.rand(b, 256, device=on)
+    )
+    errors = 1 + _NOISE * torch.randn(b, h, w, device=on)
+    found = torch.where(measured, true * errors, depth[:, 0])
+    found = torch.where(behind, _background(true, mask) * errors, found)
+    found = found.masked_fill(gone | missing, 0.0)
+    return torch.where(objects, found, depth[:, 0])[:, None]
+
+
+def _patches(b: int, h: int, w: int, on: torch.device) -> Tensor:
+    """(b, h, w) smooth fields, evenly distributed over 0..1."""
+    coarse = torch.rand(b, 1, -(-h // _PATCH), -(-w // _PATCH), device=on)
+    fine = interpolate(coarse, (h, w), mode="bicubic", align_corners=False)[:, 0]
+    order = fine.flatten(1).argsort(dim=1).argsort(dim=1)
+    return (order.to(fine.dtype) / (h * w)).reshape(b, h, w)
+
+
+def _background(true: Tensor, mask: Tensor) -> Tensor:
+    """(b, h, w) depth of what surrounds the objects, continued smoothly behind them."""
+    weight = ((mask == BACKGROUND) & (true > 0)).to(true.dtype)[:, None]
+    sums = [(true[:, None] * weight, weight)]
+    while min(sums[-1][0].shape[2:]) > 1:
+        value, weight = (avg_pool2d(x, 2, ceil_mode=True) for x in sums[-1])
+        sums.append((value, weight))
+    value, weight = sums[-1]
+    filled = value / weight.clamp(min=1e-6)
+    for value, weight in reversed(sums[:-1]):
+        coarse = interpolate(filled, value.shape[2:], mode="bilinear", align_corners=False)
+        filled = torch.where(weight > 0, value / weight.clamp(min=1e-6), coarse)
+    return filled[:, 0]
 
 
 def _on_some(images: Tensor, share: float, change: Change) -> Tensor:

@@ -108,7 +108,7 @@ class TrainConfig:
         colors: whether colour is augmented as published for SwinDRNet.
         jitter: whether brightness, contrast and saturation are, as published for NLSPN.
         geometry: whether frames are turned, mirrored and enlarged, as published for NLSPN.
-        holes: share of the frames in which depth of some objects is lost on top.
+        replace: share of the frames in which some objects are measured otherwise.
         validate_every, checkpoint_every: steps; the first a multiple of the second.
         training, validation: hashes over the frames.
         beginning: hash of the file of weights to begin with, and of what it is; empty for none.
@@ -127,7 +127,7 @@ class TrainConfig:
     colors: bool = True
     jitter: bool = False
     geometry: bool = False
-    holes: float = 0.0
+    replace: float = 0.0
     validate_every: int
     checkpoint_every: int
     training: str
@@ -148,8 +148,8 @@ class TrainConfig:
                 field="validate_every",
                 value=self.validate_every,
             )
-        if not 0 <= self.holes <= 1:
-            raise ToolkitError("must be in [0, 1]", field="holes", value=self.holes)
+        if not 0 <= self.replace <= 1:
+            raise ToolkitError("must be in [0, 1]", field="replace", value=self.replace)
 
     def step_info(self, step: int) -> StepInfo:
         """Where a step stands, counted from 0; behind the end, at the end of the last phase."""

@@ -96,10 +96,12 @@ class RestorerTraining(pl.LightningModule):
         color, depth, batch = inputs
         for change in self._change_color:
             color = change(color)
-        if self.config.holes:
-            from benchmark.training.augmentation import lose_objects
+        if self.config.replace:
+            from benchmark.training.augmentation import replace_objects
 
-            depth = lose_objects(depth, batch["mask"], self.config.holes)
+            depth = replace_objects(
+                depth, batch["true"], batch["mask"], batch["materials"], self.config.replace
+            )
         return ModelInput(color, depth, batch)
 
     def _stop(self, problem: str, value: object) -> None:

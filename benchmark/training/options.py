@@ -72,8 +72,9 @@ class TrainOptions:
     """colour augmentation: SwinDRNet's (on), NLSPN's (jitter)"""
     geometry: Literal["published", "on", "off"] = "published"
     """turn, mirror and enlarge frames"""
-    holes: Share = 0.0
-    """share of the frames that lose the depth of some objects"""
+    replace: Share = 0.0
+    """share of the frames in which some objects have no depth, that of the background, or the true
+    one"""
     precision: Precision = "fp32"
     """arithmetic of the network"""
     seed: int = 0

@@ -83,19 +83,39 @@ def test_coarse_gaps_are_about_two_percent():
     assert shares.mean().item() == pytest.approx(0.02, abs=0.008)
 
 
-def test_objects_lose_depth_and_the_background_does_not():
-    from benchmark.training.augmentation import lose_objects
+def test_objects_are_measured_otherwise_and_the_background_is_not():
+    from benchmark.data.frame import Material
+    from benchmark.training.augmentation import replace_objects
 
-    depth = torch.full((40, 1, 20, 20), 0.7)
-    mask = torch.full((40, 20, 20), 255, dtype=torch.uint8)
-    mask[:, 2:8, 2:8] = 1
-    mask[:, 10:18, 10:18] = 4
+    b = 400
+    slope = torch.linspace(0.9, 1.1, 48).expand(b, 32, 48)
+    mask = torch.full((b, 32, 48), 255, dtype=torch.uint8)
+    mask[:, 8:24, 4:16], mask[:, 8:24, 28:44] = 1, 4
+    materials = torch.full((b, 256), 255, dtype=torch.uint8)
+    materials[:, 1], materials[:, 4] = Material.TRANSPARENT, Material.DIFFUSE
+    true = torch.where(mask == 255, slope, 0.7)
+    depth = torch.where(mask == 1, 0.5, true)[:, None]  # the sensor is wrong on glass
     torch.manual_seed(0)
-    lost = lose_objects(depth, mask, 0.5) == 0
-    assert not lost[:, 0][mask == 255].any()
-    hit = lost.flatten(1).any(dim=1).float().mean().item()
-    # Half of the frames, less those of which no object is drawn.
-    assert 0.2 < hit < 0.55
-    one = lost[:, 0, 2:8, 2:8].flatten(1).float().mean(dim=1)
-    assert (one[one > 0] < 1).any(), "objects lose a share of their pixels"
-    assert not (lose_objects(depth, mask, 0.0) == 0).any()
+    found = replace_objects(depth, true, mask, materials, 1.0)[:, 0]
+    changed = found != depth[:, 0]
+    assert not changed[mask == 255].any()
+    glass, wood = (
+        (changed & (mask == number)).flatten(1).any(dim=1).float().mean().item()
+        for number in (1, 4)
+    )
+    assert 0.5 < glass < 0.7 and 0.08 < wood < 0.25
+    # Each way occurs on glass: nothing, the background, the truth, what the sensor says.
+    glass_depth = found[:, 8:24, 4:16].flatten(1)
+    behind = slope[:, 8:24, 4:16].flatten(1)
+    for share, of in (
+        ((glass_depth == 0).float().mean(dim=1), 0.95),
+        (((glass_depth - behind).abs() < 0.03).float().mean(dim=1), 0.85),
+        (((glass_depth - 0.7).abs() < 0.01).float().mean(dim=1), 0.85),
+    ):
+        assert 0.03 < (share > of).float().mean() < 0.3
+    patched = (glass_depth == 0.5).any(dim=1) & (glass_depth > 0.8).any(dim=1)
+    assert patched.float().mean() > 0.05
+    again = replace_objects(depth, true, mask, materials, 0.0)
+    assert torch.equal(again, depth)
+    torch.manual_seed(0)
+    assert torch.equal(replace_objects(depth, true, mask, materials, 1.0)[:, 0], found)

@@ -287,7 +287,11 @@ def test_waiting_for_data_is_told(monkeypatch):
     [
         ("--method dfnet", "--out, --data: needed", 2),
         ("--method dfnet --data x --out y --loss a", "--loss: expected NAME=VALUE", 2),
-        ("--method dfnet --data x --out y --holes 2", "--holes: must be at most 1 (got 2.0)", 2),
+        (
+            "--method dfnet --data x --out y --replace 2",
+            "--replace: must be at most 1 (got 2.0)",
+            2,
+        ),
         ("--method dfnet --data nowhere --out y", "no folder of packed frames", 1),
         ("pack p --split nonsense --data .", "no plug-in with this name", 1),
         ("pack p --split x --data . --size 0 3", "--size: must be at least 1 (got (0, 3))", 2),

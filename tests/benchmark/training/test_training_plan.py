@@ -147,7 +147,7 @@ def test_frames_of_another_size_than_the_network_are_refused(pack):
         ({"batch_size": 0}, "batch_size: must be at least 1"),
         ({"learning_rate": float("nan")}, "learning_rate: must be above 0"),
         ({"validate_every": 3}, "validate_every: must be a multiple of checkpoint_every, 2"),
-        ({"holes": 1.5}, "holes: must be at most 1"),
+        ({"replace": 1.5}, "replace: must be at most 1"),
         ({"steps": 0}, "steps: must be at least 1"),
         ({"checkpoint_every": 0}, "checkpoint_every: must be at least 1"),
         ({"weights": Path("nowhere.safetensors")}, "no such file of weights"),
