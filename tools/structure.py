@@ -51,6 +51,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("", "assets", "compiled", "materials", "output", "specs", "viewpoints"),
         ("align", "lighting", "pattern", "physics", "stereo"),
         ("record", "render"),
+        ("depth_models",),
         ("simulation",),
         ("synthetic",),
     ),

@@ -163,7 +163,7 @@ def refine(hand: Hands) -> None:
     for name in ("soup_can", "mug", "bottle"):
         c.select(name)
         hand.wait(lambda name=name: name in c.residuals)
-        hand.wait(lambda name=name: name in c.prints)
+        hand.settle()
         if can_take_turn(c):
             hand.press(Qt.Key.Key_Y)
             hand.press(Qt.Key.Key_R)
