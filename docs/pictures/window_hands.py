@@ -76,14 +76,23 @@ class Hands:
         self.actions += 1
         let_work(100)
 
-    def drag(self, start: QPoint, by: QPoint, modifiers: Any = PLAIN, *, drop: bool = True) -> None:
-        """In the main view."""
+    def drag(
+        self,
+        start: QPoint,
+        by: QPoint,
+        modifiers: Any = PLAIN,
+        *,
+        drop: bool = True,
+        look: Callable[[], None] = lambda: None,
+    ) -> None:
+        """In the main view; `look` is called on the way."""
         view = self.space.views.tiles[0].view
         QTest.mouseMove(view, start)
         QTest.mousePress(view, LEFT, modifiers, start)
         for i in range(1, 9):
             QTest.mouseMove(view, start + by * i / 8)
             let_work(20)
+            look()
         if drop:
             QTest.mouseRelease(view, LEFT, modifiers, start + by)
             self.actions += 1

@@ -35,6 +35,15 @@ def looking_down(height_m: float = 0.8) -> SE3:
     return SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, height_m]))
 
 
+def limit_time(seconds: int) -> None:
+    """End this process after a processor time, where the system can."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+
+
 def render_smallest(variant: str) -> None:
     """Render infrared and colour with a variant and print `DONE`.
 

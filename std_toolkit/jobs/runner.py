@@ -122,19 +122,28 @@ def run_jobs(
         closing(engine(call, items, options)) as stream,
     ):
         began = told = time.monotonic()
+        failed = 0
         for index, outcome in stream:
             outcomes[index] = outcome
             bar.update()
+            if outcome.error is not None:
+                failed += 1
+                bar.set_postfix_str(f"{failed} failed")
+                if failed == 1:  # the others may fail for the same reason: time to stop
+                    logger.warning("%s: %s failed: %s", name, keys[index], outcome.error)
             now = time.monotonic()
             if options.progress and bar.disable and now - told >= _LINE_S:
                 told = now
-                left = (now - began) / len(outcomes) * (len(items) - len(outcomes))
+                # Items that fail early say nothing about the time of the others.
+                left = (now - began) / max(len(outcomes) - failed, 1) * (len(items) - len(outcomes))
                 logger.info(
-                    "%s: %s done, %d of %d, about %s left",
+                    "%s: %s %s, %d of %d%s, about %s left",
                     name,
                     keys[index],
+                    "done" if outcome.error is None else "failed",
                     len(outcomes),
                     len(items),
+                    f" ({failed} failed)" if failed else "",
                     _duration(left),
                 )
     report: JobReport[Result] = JobReport(name)
