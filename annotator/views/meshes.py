@@ -60,8 +60,10 @@ class Shape:
         if colors is not None:
             self.full.colored = colored_mesh(self.full.polydata, colors)
         self.wire = self.light_wire = _wire(self.full, self.bounds)
-        light = lighter(self.full.polydata, LIGHT_FACES)
-        if light is not self.full.polydata:
+        if self.full.faces > LIGHT_FACES:
+            # Of single vertices: decimation opens a mesh along creases and seams, where they are
+            # doubled, and its silhouette would show the cracks.
+            light = lighter(triangles(*self.full.corners), LIGHT_FACES)
             surface = Surface(with_normals(light))
             if mesh is not None and colors is not None:
                 surface.colored = baked_mesh(surface.polydata, mesh.vertices, mesh.faces, colors)

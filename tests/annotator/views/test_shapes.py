@@ -62,6 +62,23 @@ def test_the_light_mesh_is_small_and_close(shape: object) -> None:
     assert cKDTree(dense).query(full)[0].max() < 2.5e-3  # of samples 1 mm apart
 
 
+def test_the_light_mesh_of_separate_faces_has_no_cracks() -> None:
+    """Texture seams and creases double vertices; a crack would show in the silhouette."""
+    mesh = bumpy(100)
+    loose = trimesh.Trimesh(
+        mesh.vertices[mesh.faces].reshape(-1, 3),
+        np.arange(3 * len(mesh.faces)).reshape(-1, 3),
+        process=False,
+    )
+    shape = make_shape(loose)
+    assert shape.light.faces < shape.full.faces
+    _, faces = shape.light.edges
+    assert (faces[:, 1] < 0).mean() < 0.002
+    silhouette = shape.light.silhouette(np.array([0.0, 0.0, 0.5]))
+    closed = make_shape(mesh).light.silhouette(np.array([0.0, 0.0, 0.5]))
+    assert len(silhouette) < 1.5 * len(closed)
+
+
 def test_a_small_mesh_is_its_own_light_mesh() -> None:
     shape = make_shape(trimesh.creation.box((0.1, 0.1, 0.1)))
     assert shape.light.faces == shape.full.faces == 12
