@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import sys
 
+import numpy as np
 import pytest
 
 from sensors.render import variant as choosing
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera
 
 WORKS = f"print({choosing.DONE!r})"
 ABORTS = (
@@ -71,3 +73,28 @@ def test_a_wanted_variant_is_tested_too(monkeypatch) -> None:
 def test_the_real_test_runs_here() -> None:
     assert choosing.try_variant("scalar_rgb") is None
     assert "mitsuba" not in vars(sys.modules[choosing.__name__])
+
+
+@pytest.mark.slow
+def test_the_gpu_makes_the_images_of_the_processor() -> None:
+    """The same kernels on CUDA; skipped, with the reason, where there is no GPU."""
+    problem = choosing.try_variant("cuda_ad_rgb")
+    if problem is not None:
+        pytest.skip(f"cuda_ad_rgb: {problem}")
+    from sensors.render.mitsuba_renderer import MitsubaRenderer
+    from sensors.render.sim_renderer import RenderOptions
+    from sensors.render.sim_scene import Projector
+    from sensors.render.smoke import looking_down, smallest_scene
+
+    camera = Camera(96, 64, 90.0, 90.0, 47.5, 31.5)
+    T, options = looking_down(), RenderOptions(samples=64, chunk=1)
+    projector = Projector(np.ones((8, 8), np.float32), 90.0, T)
+    found = []
+    for variant in ("llvm_ad_rgb", "cuda_ad_rgb"):
+        loaded = MitsubaRenderer(variant=variant, check=False).load(smallest_scene())
+        infrared = loaded.infrared(camera, T, projector, ambient=0.2, options=options)
+        color = loaded.color(camera, T, ambient=1.0, options=options)
+        found.append((infrared, color.radiance.mean(axis=2)))
+    for processor, gpu in zip(*found, strict=True):
+        assert abs(gpu.mean() / processor.mean() - 1) < 0.02
+        assert np.corrcoef(gpu.ravel(), processor.ravel())[0, 1] > 0.95
