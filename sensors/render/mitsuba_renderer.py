@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from std_toolkit.geometry import SE3, Camera
 
 _FEATURE_SAMPLES, _FAST_FEATURE_SAMPLES = 4, 2
+# Paths of time of flight, beside those of light that is directly in view.
+_LATE_FACTOR = 4
 # This share of the pixels is darker than the brightest dots, mirrored ones aside.
 _DOT_QUANTILE = 0.995
 _CLIP_FACTOR = 2.0
@@ -253,7 +255,10 @@ class MitsubaScene:
         options: RenderOptions = DRAFT_INFRARED,
         seed: int = 0,
     ) -> NDArray[np.complex64]:
-        """See `PathTracer.phasors`.
+        """(F, H, W) complex64: see `PathTracer.phasors`.
+
+        All light but that of surfaces directly in view is rendered separately and denoised: with
+        few paths its noise would exceed that of a camera.
 
         Raises:
             ToolkitError: the variant is not compiled.
@@ -267,10 +272,30 @@ class MitsubaScene:
             )
         check_no_distortion("mitsuba", camera)
         self._mi.set_variant(self._variant)
-        found = self._tracer(infrared=True).phasors(
-            camera, T_world_cam, lamp, waves, options=options, seed=seed
-        )
-        return np.asarray(found, np.complex64)
+        tracer = self._tracer(infrared=True)
+        view = (camera, T_world_cam, lamp, waves)
+        direct, _ = tracer.phasors(*view, options=replace(options, max_depth=2), seed=seed)
+        clean = denoiser(self._threads)
+        factor = _LATE_FACTOR * (1 if clean else 4)
+        many = replace(options, samples=factor * options.samples)
+        late, light = tracer.phasors(*view, options=many, seed=seed, late=True)
+        if clean is not None:
+            features = tracer.features(
+                camera, T_world_cam, samples=_feature_samples(options), seed=seed
+            )
+            # Relative to the phase of the surface in view, the phases vary slowly.
+            z, _ = tracer.first_hits(camera, T_world_cam)
+            rays = camera.unproject(camera.pixel_grid().reshape(-1, 2)).reshape(*z.shape, 3)
+            there_and_back = 2 * z * np.linalg.norm(rays / rays[..., 2:], axis=-1)
+            turns = np.exp(-1j * np.array(waves)[:, None, None] * there_and_back)
+            late = np.stack(
+                [
+                    turn.conj()
+                    * _denoised_phasor(part * turn, light, clean, features, options.fast_denoiser)
+                    for part, turn in zip(late, turns, strict=True)
+                ]
+            )
+        return np.asarray(direct + late, np.complex64)
 
     def first_hits(
         self, camera: Camera, T_world_cam: SE3
@@ -290,6 +315,20 @@ class MitsubaScene:
 
 def _feature_samples(options: RenderOptions) -> int:
     return _FAST_FEATURE_SAMPLES if options.fast_denoiser else _FEATURE_SAMPLES
+
+
+def _denoised_phasor(
+    phasor: NDArray[np.complexfloating],
+    light: NDArray[np.float32],
+    clean: Denoiser,
+    features: tuple[NDArray[np.float32], NDArray[np.float32]],
+    fast: bool,
+) -> NDArray[np.complexfloating]:
+    """(H, W) complex sums of light after a denoiser, which accepts no negative numbers."""
+    # Neither part exceeds the sum of the light.
+    channels = np.stack([light + phasor.real, light + phasor.imag, light], axis=-1)
+    found = clean(np.maximum(channels, 0).astype(np.float32), *features, fast=fast)
+    return np.asarray(found[..., 0] - found[..., 2] + 1j * (found[..., 1] - found[..., 2]))
 
 
 def bounded_mean(paths: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -124,7 +124,7 @@ class PathTracer:
             options.max_depth,
             options.diffuse_bounces,
             options.roulette_depth,
-            indirect,
+            "unscattered" if indirect else "",
             [],
         )[0]
         chunk = options.chunk or options.samples
@@ -145,14 +145,19 @@ class PathTracer:
         *,
         options: sim_renderer.RenderOptions,
         seed: int,
-    ) -> NDArray[np.complex64]:
-        """(F, H, W) complex64: mean of `light * exp(i wave * length)` over the paths of a pixel.
+        late: bool = False,
+    ) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+        """Means over the light paths of a pixel, of the lamp's light alone.
 
         The length is that of a path from the lamp over the surfaces to the camera, metres; the
-        waves are in radians per metre. Only the lamp's light counts.
+        waves are in radians per metre. `late` leaves out what the lamp lights directly in view.
+
+        Returns:
+            (F, H, W) complex64 means of `light * exp(i wave * length)`, and (H, W) float32 means of
+            the light.
         """
         ray, count = self._rays(camera, T_world_cam, options.samples, seed, regular=True)
-        _, real, imaginary = _trace(
+        light, real, imaginary = _trace(
             self._shapes,
             self._glass,
             None,
@@ -164,15 +169,17 @@ class PathTracer:
             options.max_depth,
             options.diffuse_bounces,
             options.roulette_depth,
-            False,
+            "direct" if late else "",
             [_data(wave) for wave in waves],
         )
-        dr.eval(*real, *imaginary)
-        sums = [dr.block_sum(part, count) for part in (*real, *imaginary)]
+        parts = [*real, *imaginary, (light.x + light.y + light.z) / 3]
+        dr.eval(*parts)
+        sums = [dr.block_sum(part, count) for part in parts]
         dr.eval(*sums)
-        shape = (2, len(waves), camera.height, camera.width)
-        parts = np.stack([np.array(s) for s in sums]).reshape(shape) / np.float32(count)
-        return np.asarray(parts[0] + 1j * parts[1], np.complex64)
+        shape = (len(sums), camera.height, camera.width)
+        means = np.stack([np.array(s) for s in sums]).reshape(shape) / np.float32(count)
+        real, imaginary = means[: len(waves)], means[len(waves) : -1]
+        return np.asarray(real + 1j * imaginary, np.complex64), means[-1]
 
     def features(
         self, camera: Camera, T_world_cam: SE3 | Sequence[SE3], *, samples: int, seed: int
@@ -360,13 +367,14 @@ def _trace(  # type: ignore[no-untyped-def]
     max_depth,
     diffuse_bounces,
     roulette,
-    indirect,
+    without,
     waves,
 ):
     """Radiance along rays, and the beam's light times cosine and sine of `wave * length`.
 
-    Depths, `indirect`, the number of waves and the existence of beam and sky are compile-time
-    constants.
+    `without` leaves out a part of the beam's light: "direct", at surfaces directly in view;
+    "unscattered", that no diffuse surface scattered before; "", nothing. It, depths, the number of
+    waves and the existence of beam and sky are compile-time constants.
     """
     context = mi.BSDFContext()
     ray = mi.Ray3f(ray_in)
@@ -402,7 +410,8 @@ def _trace(  # type: ignore[no-untyped-def]
         if dr.hint(beam is not None, mode="scalar"):
             # Directly visible surfaces sample both lights, indirectly visible ones sample one of
             # them: this choice causes most of the noise.
-            asks_beam = smooth & (diffuse > 0) if indirect else smooth | hazy
+            asks_beam = smooth & (diffuse > 0) if without == "unscattered" else smooth | hazy
+            asks_beam = asks_beam & (depth > 0) if without == "direct" else asks_beam
             chance = mi.Float(1)
             if dr.hint(sky is not None, mode="scalar"):
                 both = diffuse == 0

@@ -135,11 +135,18 @@ def test_a_corner_and_glass_lengthen_the_path() -> None:
     error = 1000 * np.where(reading.depth > 0, reading.depth - exact, np.nan)
     floor = error[mask == 0]
     assert np.isfinite(floor).mean() > 0.9  # the others are outside the light
-    assert abs(np.nanmedian(floor)) < 0.3
+    assert 0 < np.nanmedian(floor) < 0.8  # the objects scatter light onto it
     assert 0.4 < np.nanpercentile(np.abs(floor), 68) < 1.5
     wood, glass = np.nanmedian(error[mask == 3]), np.nanmedian(error[mask == 2])
     assert 1 < wood < 20  # light that the floor scatters onto it comes later
     assert glass > 20  # light that passes through
+    # The renderer's own noise is below the camera's.
+    quiet = make_depth_model(KINECT, DepthModelOptions(width=320, height=180, noise=False))
+    one, two = (
+        quiet.read(model.look(loaded, T, light, options=DRAFT_INFRARED, seed=s), seed=0).depth
+        for s in (0, 1)
+    )
+    assert 1000 * np.median(np.abs(one - two)[mask == 3]) < 1.5
     # The camera's frame counts, not the world's.
     moved = SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
     assert not np.array_equal(
