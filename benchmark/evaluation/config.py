@@ -185,6 +185,9 @@ class GraspConfig(NetworkConfig):
     """quick: depth by a model fitted to the simulator; simulated: by the simulator itself"""
     attempts: Count = 10
     """most attempts in a round"""
+    move: Literal["guarded", "straight"] = "guarded"
+    """guarded: the hand stops at a contact, backs off and closes; straight: what it meets ends the
+    attempt"""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -170,6 +170,7 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         depth_model_sha256: hash (128-bit BLAKE2b) of the fitted parameters of the quick camera;
             empty for `simulated`.
         gripper: name of the gripper.
+        move: `guarded` or `straight`, see `benchmark.tabletop.grasp`.
         planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
             options.
         depth, depth_preset, depth_settings, depth_weights_sha256: `raw` or `gt`, which have no
@@ -193,6 +194,7 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     precision: str
     compile: bool
     device: str
+    move: str = "straight"
 
 
 class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -6,6 +6,7 @@ import sys
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
+from typing import Literal
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
 from benchmark.evaluation.engine import Task, TaskRun, weights_digest
@@ -87,6 +88,7 @@ class GraspRun(TaskRun[None, Methods]):
         out: folder of results.
         camera: `quick` or `simulated`.
         attempts: maximum number of attempts per round.
+        move: `guarded` or `straight`.
         devices: torch devices; each worker uses one.
         strips: save pictures of every attempt.
     """
@@ -102,6 +104,7 @@ class GraspRun(TaskRun[None, Methods]):
     planner_options: MethodOptions = field(default_factory=MethodOptions)
     camera: sense.CameraKind = "quick"
     attempts: int = round.MOST_ATTEMPTS
+    move: Literal["guarded", "straight"] = "guarded"
     devices: tuple[str, ...] = ("cpu",)
     strips: bool = True
 
@@ -167,6 +170,7 @@ class GraspRun(TaskRun[None, Methods]):
             precision=network.precision,
             compile=network.compile,
             device=self.devices[0].partition(":")[0],
+            move=self.move,
         )
         return GraspManifest(
             depth_label=self.depth_label,
@@ -194,6 +198,7 @@ class GraspRun(TaskRun[None, Methods]):
             round.clear_table(
                 arrangement, camera, methods.given, plan,
                 color=methods.looks_at_color, attempts=self.attempts,
+                guarded=self.move == "guarded",
             )
         )  # fmt: skip
         if self.strips:
@@ -241,6 +246,7 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
             planner_options=options.get(planner, MethodOptions()),
             camera=config.camera,
             attempts=config.attempts,
+            move=config.move,
             devices=config.devices,
             strips=config.gallery,
         )
