@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.metrics.grasp import collision, force_closure, grasp, gripper
+from benchmark.metrics.grasp import collision, force_closure, grasp, gripper, sdf_contacts
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
 Floats = NDArray[np.float64]
+
+# Where fingers meet an object: on its mesh, or as in graspnetAPI, see `sdf_contacts`.
+ContactKind = Literal["exact", "sdf"]
 
 TOP = 50
 PER_OBJECT = 10
@@ -53,6 +57,11 @@ class JudgedObject:
         """What fingers close on."""
         return force_closure.GraspedMesh(self.vertices, self.faces)
 
+    @cached_property
+    def sdf(self) -> sdf_contacts.SdfMesh:
+        """The same as graspnetAPI has it."""
+        return sdf_contacts.SdfMesh(self.vertices, self.faces)
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -77,6 +86,8 @@ def judge_grasps(
     objects: Sequence[JudgedObject],
     poses: Sequence[SE3],
     T_cam_table: SE3 | None = None,
+    *,
+    contacts: ContactKind = "exact",
 ) -> Judged:
     """Judge a planner's grasps of an image as GraspNet does.
 
@@ -90,6 +101,8 @@ def judge_grasps(
         objects: of the scene.
         poses: T_cam_obj of each.
         T_cam_table: the table, z = 0; None where there is none.
+        contacts: `sdf` gives the figures of graspnetAPI, with its quantised normals and the flat
+            faces that it misses.
 
     Returns:
         The grasps that count, best first, and what became of each.
@@ -122,7 +135,8 @@ def judge_grasps(
         its = counted[mine]
         collided[mine] = near.hit_by(its, gripper.GRASPNET)
         empty[mine] = near.count_between(its, gripper.GRASPNET) < LEAST_BETWEEN
-        friction[mine] = obj.mesh.friction_scores(its.transformed(T.inverse()))
+        mesh = obj.sdf if contacts == "sdf" else obj.mesh
+        friction[mine] = mesh.friction_scores(its.transformed(T.inverse()))
     friction[collided | empty] = force_closure.NO_CLOSURE
     return Judged(counted, collided, empty, friction)
 
