@@ -188,10 +188,24 @@ class GraspConfig(NetworkConfig):
     move: Literal["guarded", "straight"] = "guarded"
     """guarded: the hand stops at a contact, backs off and closes; straight: what it meets ends the
     attempt"""
+    label: str | None = None
+    """name of the planner, or of the dump, in folders and tables"""
+    dump: Path | None = None
+    """score grasps in this folder on GraspNet's test scenes instead: scene_0100/realsense/0000.npy"""
+    data: Path | None = field(default=None, metadata=_option("data"))
+    """folder of GraspNet-1Billion, for --dump"""
+    graspnet_split: Literal["test", "seen", "similar", "novel"] = "test"
+    """scenes of --dump"""
+    graspnet_camera: Literal["realsense", "kinect"] = "realsense"
+    """camera of --dump"""
+    contacts: Literal["exact", "sdf"] = "exact"
+    """contacts of --dump: exact, on the mesh; sdf: as in graspnetAPI, for published figures"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lists(self, "depths", "planners")
+        if self.label is not None and self.dump is None and len(self.planners) > 1:
+            raise ToolkitError("names one planner, not several", field="label", value=self.label)
 
 
 @dataclass(frozen=True, kw_only=True)

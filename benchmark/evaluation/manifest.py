@@ -25,6 +25,8 @@ _PACKAGES = ("numpy", "opencv-python-headless", "pandas", "pyarrow", "scipy", "t
 
 GRASP_MANIFEST = "grasp.json"
 
+DUMP_MANIFEST = "grasp_dump.json"
+
 POSE_MANIFEST = "pose.json"
 
 BOP_MANIFEST, BOP_FILE = "bop_run.json", "bop.json"
@@ -214,6 +216,42 @@ class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     setup: GraspSetup
     planner_weights: str
     depth_weights: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+class DumpSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fields that determine the table of a dump; a run resumes only if they are unchanged.
+
+    Attributes:
+        split: `test`, `seen`, `similar` or `novel`.
+        camera: `realsense` or `kinect`.
+        contacts: `exact` or `sdf`, see `benchmark.metrics.grasp.ap`.
+        frames: number of annotated images.
+    """
+
+    split: Name
+    camera: Name
+    contacts: Name
+    frames: int
+
+
+class DumpManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Setup and environment of a run; the environment is informative only.
+
+    Attributes:
+        version_of_tool: version of this package.
+        label: name of the grasps in tables.
+        root, dump: folders of the data set and of the grasps.
+        packages: versions of the numerical libraries.
+        hardware: processor, cores and GPUs.
+    """
+
+    version_of_tool: str
+    label: Name
+    setup: DumpSetup
+    root: str
+    dump: str
     packages: dict[str, str]
     hardware: dict[str, str]
 

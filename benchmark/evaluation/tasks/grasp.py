@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
 from benchmark.evaluation.engine import Task, TaskRun, weights_digest
@@ -14,6 +15,7 @@ from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks import grasp_results
+from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_table, plan_dump
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
@@ -84,6 +86,7 @@ class GraspRun(TaskRun[None, Methods]):
     Attributes:
         depth, depth_options: `raw`, `gt`, or a restorer and its options.
         planner, planner_options: a registered planner, or `oracle`.
+        label: name of the planner in tables.
         rounds, seed: number of rounds, and their seed.
         out: folder of results.
         camera: `quick` or `simulated`.
@@ -97,6 +100,7 @@ class GraspRun(TaskRun[None, Methods]):
     network_shares_cpu = True
     depth: str
     planner: str
+    label: str | None = None
     rounds: int
     seed: int
     out: Path
@@ -114,7 +118,7 @@ class GraspRun(TaskRun[None, Methods]):
 
     @property
     def planner_label(self) -> str:
-        return plain_label(self.planner)
+        return self.label or plain_label(self.planner)
 
     @property
     def folder(self) -> Path:
@@ -213,13 +217,25 @@ class GraspRun(TaskRun[None, Methods]):
         return grasp_results.read_grasp_run(self.folder, rounds=self.rounds)
 
 
-def plan_runs(config: GraspConfig) -> list[GraspRun]:
-    """Return the runs, grouped by planner.
+def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
+    """Return the runs, grouped by planner, or that of a dump.
 
     Raises:
         ToolkitError: weights or settings for a method that is not requested, an unknown planner,
             or a label that cannot be the name of a folder.
     """
+    if config.dump is not None:
+        return plan_dump(
+            dump=config.dump,
+            data=config.data,
+            split=config.graspnet_split,
+            camera=config.graspnet_camera,
+            contacts=config.contacts,
+            label=config.label,
+            out=config.out,
+        )
+    if config.data is not None:
+        raise ToolkitError("belongs to --dump", field="--data", value=str(config.data))
     for name in config.planners:
         if name != ORACLE and ":" not in name and name not in grasp_planners.names():
             raise ToolkitError(
@@ -233,12 +249,13 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
         *(p for p in config.planners if p != ORACLE),
     ]
     options = options_by_method(config, names)
-    for name in (*config.depths, *config.planners):
+    for name in (*config.depths, *config.planners, *filter(None, [config.label])):
         checked_label(plain_label(name))
     return [
         GraspRun(
             depth=depth,
             planner=planner,
+            label=config.label,
             rounds=config.rounds,
             seed=config.seed,
             out=config.out,
@@ -254,8 +271,14 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
     ]
 
 
-TASK = Task(
-    plan=plan_runs,
-    table=lambda results, _: grasp_results.grasp_table(results),
-    records=lambda results, _: grasp_results.grasp_records(results),
-)
+def _table(results: Sequence[Any], config: GraspConfig) -> str:
+    is_dump = config.dump is not None
+    return dump_table(results) if is_dump else grasp_results.grasp_table(results)
+
+
+def _records(results: Sequence[Any], config: GraspConfig) -> Sequence[Any]:
+    is_dump = config.dump is not None
+    return dump_records(results) if is_dump else grasp_results.grasp_records(results)
+
+
+TASK = Task(plan=plan_runs, table=_table, records=_records)
