@@ -188,10 +188,15 @@ class GraspConfig(NetworkConfig):
     move: Literal["guarded", "straight"] = "guarded"
     """guarded: the hand stops at a contact, backs off and closes; straight: what it meets ends the
     attempt"""
+    meshes: Path | None = None
+    """folder of meshes for the tables, CATEGORY/NAME.obj or with assets.json (built-in shapes)"""
+    meshes_unit: Literal["m", "cm", "mm"] | None = None
+    """unit of these meshes, which then keep their size (a size is drawn that the jaw can hold)"""
     label: str | None = None
     """name of the planner, or of the dump, in folders and tables"""
     dump: Path | None = None
-    """score grasps in this folder on GraspNet's test scenes instead: scene_0100/realsense/0000.npy"""
+    """folder of grasps to score on GraspNet's test scenes instead, such as
+    scene_0100/realsense/0000.npy"""
     data: Path | None = field(default=None, metadata=_option("data"))
     """folder of GraspNet-1Billion, for --dump"""
     graspnet_split: Literal["test", "seen", "similar", "novel"] = "test"
@@ -204,6 +209,8 @@ class GraspConfig(NetworkConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lists(self, "depths", "planners")
+        if self.meshes_unit is not None and self.meshes is None:
+            raise ToolkitError("belongs to --meshes", field="meshes_unit", value=self.meshes_unit)
         if self.label is not None and self.dump is None and len(self.planners) > 1:
             raise ToolkitError("names one planner, not several", field="label", value=self.label)
 

@@ -173,6 +173,8 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             empty for `simulated`.
         gripper: name of the gripper.
         move: `guarded` or `straight`, see `benchmark.tabletop.grasp`.
+        meshes, meshes_sha256, meshes_unit: name of the user's folder of meshes, SHA-256 hash of
+            the names and sizes of its files, and its unit; empty for the built-in shapes.
         planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
             options.
         depth, depth_preset, depth_settings, depth_weights_sha256: `raw` or `gt`, which have no
@@ -197,6 +199,9 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     compile: bool
     device: str
     move: str = "straight"
+    meshes: Name = ""
+    meshes_sha256: str = ""
+    meshes_unit: str = ""
 
 
 class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

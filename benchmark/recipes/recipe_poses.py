@@ -153,8 +153,13 @@ def published_poses(table: str) -> pd.DataFrame:
         raise ToolkitError("no such table of poses", field="pose_table", value=table)
     wide = [
         {"dataset": dataset, "subset": subset, "method": method}
-        | {m.removesuffix("_pct"): float(v) / 100 for m, v in zip(g["metric"], g["value"], strict=True)}
-        for (dataset, subset, method), g in rows.groupby(["dataset", "subset", "method"], sort=False)
+        | {
+            m.removesuffix("_pct"): float(v) / 100
+            for m, v in zip(g["metric"], g["value"], strict=True)
+        }
+        for (dataset, subset, method), g in rows.groupby(
+            ["dataset", "subset", "method"], sort=False
+        )
     ]
     return pd.DataFrame(wide)
 

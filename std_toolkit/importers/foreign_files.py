@@ -67,7 +67,9 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
         return ForeignDepth(np.where(unknown, np.zeros((), stored.dtype), stored), True)
     if path.suffix.lower() != ".png":
         raise ToolkitError(
-            "depth must be a 16-bit PNG, an EXR or a TIFF", path=path, hint="JPEG and 8-bit lose depth"
+            "depth must be a 16-bit PNG, an EXR or a TIFF",
+            path=path,
+            hint="JPEG and 8-bit lose depth",
         )
     raw = images.read_png(path)
     check_aligned(path, (raw.shape[1], raw.shape[0]), size)

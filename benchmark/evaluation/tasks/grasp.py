@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
 from benchmark.evaluation.engine import Task, TaskRun, weights_digest
@@ -29,6 +30,9 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
 from std_toolkit.scene.document import digest_file
+
+if TYPE_CHECKING:
+    from sensors.assets import AssetSource
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
 
@@ -92,6 +96,8 @@ class GraspRun(TaskRun[None, Methods]):
         camera: `quick` or `simulated`.
         attempts: maximum number of attempts per round.
         move: `guarded` or `straight`.
+        meshes, meshes_unit: folder of meshes for the tables and its unit; None for the built-in
+            shapes.
         devices: torch devices; each worker uses one.
         strips: save pictures of every attempt.
     """
@@ -109,6 +115,8 @@ class GraspRun(TaskRun[None, Methods]):
     camera: sense.CameraKind = "quick"
     attempts: int = round.MOST_ATTEMPTS
     move: Literal["guarded", "straight"] = "guarded"
+    meshes: Path | None = None
+    meshes_unit: Literal["m", "cm", "mm"] | None = None
     devices: tuple[str, ...] = ("cpu",)
     strips: bool = True
 
@@ -122,7 +130,8 @@ class GraspRun(TaskRun[None, Methods]):
 
     @property
     def folder(self) -> Path:
-        seeded = f"{self.camera}-seed{self.seed}"
+        shapes = f"-{self.meshes.resolve().name}" if self.meshes else ""
+        seeded = f"{self.camera}-seed{self.seed}{shapes}"
         return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
 
     @property
@@ -134,7 +143,21 @@ class GraspRun(TaskRun[None, Methods]):
         """Whether the depth comes from a restorer."""
         return self.depth not in (RAW, TRUE)
 
+    @property
+    def assets(self) -> AssetSource | None:
+        """Source of the user's meshes.
+
+        Raises:
+            ToolkitError: no such folder, or no mesh in it.
+        """
+        if self.meshes is None:
+            return None
+        from sensors.assets import SourceOptions, open_source
+
+        return open_source("folder", SourceOptions(root=self.meshes, unit=self.meshes_unit))
+
     def check_data(self) -> None:
+        _ = self.assets  # refused before anything runs
         logger.info("%s: %d rounds", self.title, self.rounds)
 
     def open(self) -> None:
@@ -175,6 +198,9 @@ class GraspRun(TaskRun[None, Methods]):
             compile=network.compile,
             device=self.devices[0].partition(":")[0],
             move=self.move,
+            meshes="" if self.meshes is None else self.meshes.resolve().name,
+            meshes_sha256="" if self.meshes is None else _files_digest(self.meshes),
+            meshes_unit=self.meshes_unit or "",
         )
         return GraspManifest(
             depth_label=self.depth_label,
@@ -195,7 +221,9 @@ class GraspRun(TaskRun[None, Methods]):
         """Clear the table of one round, and write its rows and pictures."""
         from sensors.simulation.simulated_set import parts_cache
 
-        arrangement = arrange(round_seed(self.seed, item), parts_cache=parts_cache())
+        arrangement = arrange(
+            round_seed(self.seed, item), assets=self.assets, parts_cache=parts_cache()
+        )
         camera = sense.make_camera(self.camera, arrangement, parts_cache=parts_cache())
         plan: round.Plan = methods.plan
         attempts = list(
@@ -215,6 +243,13 @@ class GraspRun(TaskRun[None, Methods]):
 
     def read(self) -> grasp_results.GraspResult:
         return grasp_results.read_grasp_run(self.folder, rounds=self.rounds)
+
+
+def _files_digest(folder: Path) -> str:
+    """Hash of the names and sizes of all files of a folder."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    lines = [f"{path.relative_to(folder)} {path.stat().st_size}" for path in files]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
@@ -264,6 +299,8 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             camera=config.camera,
             attempts=config.attempts,
             move=config.move,
+            meshes=config.meshes,
+            meshes_unit=config.meshes_unit,
             devices=config.devices,
             strips=config.gallery,
         )

@@ -1,7 +1,8 @@
 """Score grasps that another program planned: dumps of GraspNet-1Billion's test scenes.
 
 A dump has the files that graspnetAPI evaluates: `scene_0100/realsense/0000.npy`, rows of 17 numbers
-in the camera frame. AP is the mean over images, frictions of 0.2 to 1.2 and the best 1 to 50 grasps.
+in the camera frame. AP is the mean over images, frictions of 0.2 to 1.2 and the best 1 to 50
+grasps.
 """
 
 from __future__ import annotations

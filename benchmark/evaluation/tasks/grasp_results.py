@@ -211,7 +211,8 @@ class GraspResult(Result[GraspManifest]):
     @property
     def name(self) -> RunName:
         setup = self.manifest.setup
-        return setup.camera, setup.seed, self.manifest.planner_label, self.manifest.depth_label
+        shown = f"{setup.camera}, {setup.meshes}" if setup.meshes else setup.camera
+        return shown, setup.seed, self.manifest.planner_label, self.manifest.depth_label
 
     @property
     def title(self) -> str:

@@ -1,8 +1,8 @@
 """Contacts as GraspNet's evaluation finds them: in a grid of signed distances.
 
-Source: H.-S. Fang et al., CVPR 2020, and the published program graspnetAPI with dex-net (J. Mahler et
-al., RSS 2017). The steps of the fingers, the threshold of the surface, the zero of a parabola and
-normals fitted to 27 points at most are theirs, with the errors that they have: normals are
+Source: H.-S. Fang et al., CVPR 2020, and the published program graspnetAPI with dex-net (J. Mahler
+et al., RSS 2017). The steps of the fingers, the threshold of the surface, the zero of a parabola
+and normals fitted to 27 points at most are theirs, with the errors that they have: normals are
 quantised, some contacts on flat faces are not found, and a finger that starts beyond the grid may
 meet its border. Use these contacts to compare with
 published figures; those of `force_closure.GraspedMesh` are exact.
@@ -31,8 +31,8 @@ _ON_SURFACE = np.sqrt(2) / 2
 # Steps of a finger in each cell of the opening.
 _STEPS = 2
 _NORMAL_RADIUS = 1.5
-# A parabola flatter than this (metres per squared cell) has no zero; a zero farther than this (cells)
-# from its first point is none.
+# A parabola flatter than this (metres per squared cell) has no zero; a zero farther than this
+# (cells) from its first point is none.
 _FLAT, _FARTHEST = 1e-10, 1.0
 _LONGEST_ROOT = 10.0
 _OUTSIDE_M = 1.0
@@ -111,7 +111,7 @@ class SdfMesh:
         return friction_scores(self.contacts(grasps))
 
     def _contact(self, middle: Floats, axis: Floats, width: float) -> tuple[Floats, Floats] | None:
-        """Point and normal where a finger meets the surface, moving along the axis to the middle."""
+        """Point and normal where a finger that moves to the middle meets the surface."""
         steps = max(int(_STEPS * width / self.cell / 2), 3)
         way = np.linspace(0, width / 2, steps)
         line = self._cells(middle - width / 2 * axis + way[:, None] * axis)

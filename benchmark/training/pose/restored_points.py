@@ -1,4 +1,4 @@
-"""Depth that a restorer makes of training batches, for networks that are trained on restored depth."""
+"""Depth that a restorer makes of training batches, for networks trained on restored depth."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from benchmark.methods.registry import MethodOptions, configured, make_pose_meth
 from benchmark.methods.weights import save_weights
 from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.catalogue import get_trainable
+from benchmark.training.pose import deformation_training
 from benchmark.training.pose.deformation_loss import (
     DeformationLoss,
     ObjectTruth,
@@ -19,7 +20,6 @@ from benchmark.training.pose.deformation_loss import (
     canonical,
     objects_of,
 )
-from benchmark.training.pose import deformation_training
 from benchmark.training.pose.deformation_training import (
     DeformationValidator,
     coordinate_errors,

@@ -96,8 +96,8 @@ class Antipodal:
 
     Pairs of seen points whose normals look away from each other within the friction cones are
     held by a hand that comes from above, where it hits neither what is seen, nor what must lie
-    beneath that, nor the table. Space that the camera cannot judge, because there is no depth, counts
-    against a hand.
+    beneath that, nor the table. Space that the camera cannot judge, because there is no depth,
+    counts against a hand.
 
     Args:
         options: settings as in `AntipodalSettings`.

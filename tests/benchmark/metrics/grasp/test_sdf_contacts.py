@@ -61,7 +61,7 @@ def test_fingers_meet_a_ball_at_its_ends() -> None:
     assert contacts.found.all()
     np.testing.assert_allclose(contacts.points[0, :, 1], [-0.03, 0.03], atol=5e-4)
     assert ball().friction_scores(grasp).tolist() == [0.2]
-    beside = grasp.replaced(translations=grasp.translations + [0, 0, 0.05])
+    beside = grasp.replaced(translations=grasp.translations + np.array([0, 0, 0.05]))
     assert ball().friction_scores(beside).tolist() == [-1.0]
 
 
