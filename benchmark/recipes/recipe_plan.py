@@ -171,7 +171,7 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     targets = find_targets(recipe, config.data)
     variants = {k: v for k, v in recipe.variants.items() if not config.only or k in config.only}
     wanted = {k: p for k, p in recipe.poses.items() if p.depth in (*POSE_DEPTHS, *variants)}
-    needed = [v.set for v in (*variants.values(), *wanted.values())]
+    needed = [v.set for v in variants.values()] + [p.set for p in wanted.values()]
     needed += [t.set for t in targets if t.set]
     sets = {one: plan_set(one, recipe, scale, given, out) for one in dict.fromkeys(needed)}
     if unused := [one for one in given if one not in sets and one not in _likes(recipe, sets)]:

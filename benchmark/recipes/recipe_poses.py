@@ -90,15 +90,14 @@ def score_poses(plan: RecipePlan, name: str, jobs: JobOptions, outcome: Outcome)
 def pose_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
     """Rows of all tests in the order of the recipe: measured, published and what is missing.
 
-    Figures are fractions; `low` and `high` belong to IoU50 and to 10 degrees and 5 cm, 95 % over
-    scenes.
+    Figures are fractions, each with the ends of its 95 % interval over scenes.
     """
     printed = published_poses(plan.recipe.pose_table)
-    rows = []
+    rows: list[dict[str, object]] = []
     for target in plan.targets:
         mine = printed[printed["dataset"] == target.dataset] if len(printed) else printed
         for name, variant in plan.recipe.poses.items():
-            common = {"recipe": plan.name, "scale": plan.scale_name, "test": target.name,
+            common: dict[str, object] = {"recipe": plan.name, "scale": plan.scale_name, "test": target.name,
                       "dataset": target.dataset, "variant": variant.title}  # fmt: skip
             result = outcome.poses.get((name, target.name))
             if result is None:
@@ -113,7 +112,8 @@ def pose_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
                     for row in same.drop(columns=["dataset", "method"]).to_dict("records")
                 ]
     found = pd.DataFrame(rows)
-    return found.reindex(columns=[*found.columns, *{"note", "subset"} - set(found.columns)])
+    missing = [name for name in ("subset", "note") if name not in found]
+    return found.reindex(columns=[*found.columns, *missing])
 
 
 def _measured(plan: RecipePlan, result: PoseResult) -> list[dict[str, object]]:
@@ -196,11 +196,11 @@ def _row(row: dict[str, object], columns: tuple[str, ...]) -> Row:
     cells = [Cell(text=str(row["variant"])), Cell(text=figures)]
     for column in columns:
         value = row.get(column)
-        if value is None or pd.isna(value):  # type: ignore[call-overload]
+        if value is None or pd.isna(value):
             cells.append(Cell(text="-"))
             continue
         low, high = row.get(f"{column}_low"), row.get(f"{column}_high")
-        known = low is not None and not pd.isna(low)  # type: ignore[call-overload]
+        known = low is not None and not pd.isna(low)
         note = f"[{100 * low:.1f}, {100 * high:.1f}]" if known else ""  # type: ignore[operator]
         cells.append(Cell(text=f"{100 * value:.1f}", note=note))  # type: ignore[operator]
     return Row(cells, "published" if published else "")

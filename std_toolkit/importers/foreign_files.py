@@ -63,7 +63,8 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
         check_aligned(path, (stored.shape[1], stored.shape[0]), size)
         if stored.dtype == np.uint8:
             raise ToolkitError("depth in a TIFF must be 16-bit or float", path=path, value="uint8")
-        unknown = ~np.isfinite(stored) | (stored < 0) | (stored == _SATURATED)
+        numbers = stored.astype(np.float32)
+        unknown = ~np.isfinite(numbers) | (numbers < 0) | (numbers == _SATURATED)
         return ForeignDepth(np.where(unknown, np.zeros((), stored.dtype), stored), True)
     if path.suffix.lower() != ".png":
         raise ToolkitError(

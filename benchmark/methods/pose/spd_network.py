@@ -119,6 +119,13 @@ PRESETS = {
         centred=True,
     ),
 }
+PRESETS["small"] = replace(
+    PRESETS["compact"],
+    color_width=20,
+    color_decoder=(48, 24, 24, 24),
+    width=160,
+    hidden=(160, 96),
+)
 
 
 class PriorNetwork(nn.Module):

@@ -101,7 +101,9 @@ class Interleaved(nn.Module):
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
         """Images (b, c, h, w) of an even width."""
         found = self.halves(*(_columns_apart(images) for images in (color, depth)))
-        return Prediction(*(None if part is None else _columns_together(part) for part in found))
+        depth, *others = found
+        rest = (None if part is None else _columns_together(part) for part in others)
+        return Prediction(_columns_together(depth), *rest)
 
 
 def _columns_apart(images: Tensor) -> Tensor:
