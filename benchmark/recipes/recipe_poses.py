@@ -97,8 +97,13 @@ def pose_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
     for target in plan.targets:
         mine = printed[printed["dataset"] == target.dataset] if len(printed) else printed
         for name, variant in plan.recipe.poses.items():
-            common: dict[str, object] = {"recipe": plan.name, "scale": plan.scale_name, "test": target.name,
-                      "dataset": target.dataset, "variant": variant.title}  # fmt: skip
+            common: dict[str, object] = {
+                "recipe": plan.name,
+                "scale": plan.scale_name,
+                "test": target.name,
+                "dataset": target.dataset,
+                "variant": variant.title,
+            }
             result = outcome.poses.get((name, target.name))
             if result is None:
                 why = _why(plan, name, target, outcome)
