@@ -88,6 +88,9 @@ def main() -> None:
         opened = time.process_time()
         models = {o: dataset.model(o) for o in {t.obj_id for t in dataset.targets}}
         scorer._model = models.__getitem__  # type: ignore[assignment]
+        camera = dataset.image(2, 3).camera
+        assert camera is not None
+        models[1].distances.mspd([SE3.identity()], [SE3.identity()], pinhole(camera))  # compiles
         loaded = time.process_time()
         found = {}
         for image in scorer.images:
@@ -95,8 +98,6 @@ def main() -> None:
             for obj_id in scorer.objects(*image):
                 found[*image, obj_id] = scorer.errors(*image, obj_id, picture).target
         scored = time.process_time()
-        camera = dataset.image(2, 3).camera
-        assert camera is not None
         for e in estimates:
             distances = models[e.obj_id].distances
             symmetries = distances.symmetry.transforms(315)

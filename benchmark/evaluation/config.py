@@ -185,10 +185,34 @@ class GraspConfig(NetworkConfig):
     """quick: depth by a model fitted to the simulator; simulated: by the simulator itself"""
     attempts: Count = 10
     """most attempts in a round"""
+    move: Literal["guarded", "straight"] = "guarded"
+    """guarded: the hand stops at a contact, backs off and closes; straight: what it meets ends the
+    attempt"""
+    meshes: Path | None = None
+    """folder of meshes for the tables, CATEGORY/NAME.obj or with assets.json (built-in shapes)"""
+    meshes_unit: Literal["m", "cm", "mm"] | None = None
+    """unit of these meshes, which then keep their size (a size is drawn that the jaw can hold)"""
+    label: str | None = None
+    """name of the planner, or of the dump, in folders and tables"""
+    dump: Path | None = None
+    """folder of grasps to score on GraspNet's test scenes instead, such as
+    scene_0100/realsense/0000.npy"""
+    data: Path | None = field(default=None, metadata=_option("data"))
+    """folder of GraspNet-1Billion, for --dump"""
+    graspnet_split: Literal["test", "seen", "similar", "novel"] = "test"
+    """scenes of --dump"""
+    graspnet_camera: Literal["realsense", "kinect"] = "realsense"
+    """camera of --dump"""
+    contacts: Literal["exact", "sdf"] = "exact"
+    """contacts of --dump: exact, on the mesh; sdf: as in graspnetAPI, for published figures"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lists(self, "depths", "planners")
+        if self.meshes_unit is not None and self.meshes is None:
+            raise ToolkitError("belongs to --meshes", field="meshes_unit", value=self.meshes_unit)
+        if self.label is not None and self.dump is None and len(self.planners) > 1:
+            raise ToolkitError("names one planner, not several", field="label", value=self.label)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,8 @@ _PACKAGES = ("numpy", "opencv-python-headless", "pandas", "pyarrow", "scipy", "t
 
 GRASP_MANIFEST = "grasp.json"
 
+DUMP_MANIFEST = "grasp_dump.json"
+
 POSE_MANIFEST = "pose.json"
 
 BOP_MANIFEST, BOP_FILE = "bop_run.json", "bop.json"
@@ -170,6 +172,9 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         depth_model_sha256: hash (128-bit BLAKE2b) of the fitted parameters of the quick camera;
             empty for `simulated`.
         gripper: name of the gripper.
+        move: `guarded` or `straight`, see `benchmark.tabletop.grasp`.
+        meshes, meshes_sha256, meshes_unit: name of the user's folder of meshes, SHA-256 hash of
+            the names and sizes of its files, and its unit; empty for the built-in shapes.
         planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
             options.
         depth, depth_preset, depth_settings, depth_weights_sha256: `raw` or `gt`, which have no
@@ -193,6 +198,10 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     precision: str
     compile: bool
     device: str
+    move: str = "straight"
+    meshes: Name = ""
+    meshes_sha256: str = ""
+    meshes_unit: str = ""
 
 
 class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -212,6 +221,42 @@ class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     setup: GraspSetup
     planner_weights: str
     depth_weights: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+class DumpSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fields that determine the table of a dump; a run resumes only if they are unchanged.
+
+    Attributes:
+        split: `test`, `seen`, `similar` or `novel`.
+        camera: `realsense` or `kinect`.
+        contacts: `exact` or `sdf`, see `benchmark.metrics.grasp.ap`.
+        frames: number of annotated images.
+    """
+
+    split: Name
+    camera: Name
+    contacts: Name
+    frames: int
+
+
+class DumpManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Setup and environment of a run; the environment is informative only.
+
+    Attributes:
+        version_of_tool: version of this package.
+        label: name of the grasps in tables.
+        root, dump: folders of the data set and of the grasps.
+        packages: versions of the numerical libraries.
+        hardware: processor, cores and GPUs.
+    """
+
+    version_of_tool: str
+    label: Name
+    setup: DumpSetup
+    root: str
+    dump: str
     packages: dict[str, str]
     hardware: dict[str, str]
 

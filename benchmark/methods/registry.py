@@ -26,7 +26,7 @@ _TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
 
 _FALSITIES = {"false": False, "no": False, "off": False, "0": False}
 
-PUBLISHED, COMPACT = "published", "compact"
+PUBLISHED, COMPACT, SMALL = "published", "compact", "small"
 
 COMMAND = "command:"
 
@@ -282,14 +282,16 @@ def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
 
     Args:
         method: its name.
-        asked: what a user wants; None is `published`, but `compact` where no weights are given
-            and the toolkit brings some of that size.
+        asked: what a user wants; None is `published`, but `compact` or `small` where no weights
+            are given and the toolkit brings some of that size.
         weights: a user's own.
     """
     if asked is not None:
         return asked
-    if weights is None and shipped_file(method, COMPACT).is_file():
-        return COMPACT
+    if weights is None:
+        for preset in (COMPACT, SMALL):
+            if shipped_file(method, preset).is_file():
+                return preset
     return PUBLISHED
 
 

@@ -22,6 +22,9 @@ FOLDER = Path(__file__).with_name("experiments")
 # Sets that every scale has.
 BASE_SETS = ("train", "test")
 
+# Depths of poses besides those of variants.
+POSE_DEPTHS = ("raw", "gt")
+
 _NAME = re.compile(r"[a-z0-9][a-z0-9.-]*")
 
 T = TypeVar("T")
@@ -88,6 +91,27 @@ class Variant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     published: Printed | None = None
 
 
+class PoseVariant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A pose network, trained on the recipe's frames, and the depth that its poses rest on.
+
+    Attributes:
+        title: its name in tables.
+        method, settings: of `std-train`.
+        set: frames that it is trained on. Variants of one method, settings and set share weights.
+        depth: `raw`, `gt`, or the name of a variant that restores depth.
+        fit: of poses, see `std-bench pose`.
+        published: the row of the recipe's table of poses that it is held against.
+    """
+
+    title: str
+    method: str
+    settings: dict[str, str] = {}
+    set: str = "train"
+    depth: str = "raw"
+    fit: Literal["ransac", "paper"] = "ransac"
+    published: Printed | None = None
+
+
 class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An experiment.
 
@@ -97,6 +121,9 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         variants, tests, sets: by name.
         baselines: methods without learning that are scored beside.
         protocols: that everything is scored by; the paper's own first.
+        poses: pose networks on the depth of variants, by name.
+        pose_table: the paper's table of poses; empty for none.
+        pose_protocols: that poses are scored by.
     """
 
     title: str
@@ -107,9 +134,12 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     sets: dict[str, DerivedSet] = {}
     baselines: list[str] = msgspec.field(default_factory=lambda: ["raw"])
     protocols: list[str] = msgspec.field(default_factory=lambda: ["paper", "strict"])
+    poses: dict[str, PoseVariant] = {}
+    pose_table: str = ""
+    pose_protocols: list[str] = msgspec.field(default_factory=lambda: ["paper", "strict"])
 
     def __post_init__(self) -> None:
-        for part in ("variants", "tests", "sets"):
+        for part in ("variants", "tests", "sets", "poses"):
             for name in getattr(self, part):
                 if not _NAME.fullmatch(name):
                     raise ToolkitError(
@@ -129,6 +159,13 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         known = (*BASE_SETS, *self.sets)
         used = {f"variants.{n}.set": v.set for n, v in self.variants.items()}
         used |= {f"tests.{n}.set": t.set for n, t in self.tests.items() if t.set}
+        used |= {f"poses.{n}.set": p.set for n, p in self.poses.items()}
+        for name, pose in self.poses.items():
+            if pose.depth not in (*POSE_DEPTHS, *self.variants):
+                raise ToolkitError(
+                    "no such depth", field=f"poses.{name}.depth", value=pose.depth,
+                    hint=f"one of {', '.join((*POSE_DEPTHS, *self.variants))}",
+                )  # fmt: skip
         for part, value in used.items():
             if value not in known:
                 raise ToolkitError(

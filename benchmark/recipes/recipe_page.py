@@ -9,7 +9,7 @@ from math import nan
 import pandas as pd
 
 from benchmark.evaluation.tasks.depth_results import RunResult
-from benchmark.recipes import recipe_plan, recipe_run, recipe_table
+from benchmark.recipes import recipe_plan, recipe_poses, recipe_run, recipe_table
 from benchmark.report.leaderboard import BOARD, frames_of
 from benchmark.report.parts.depth import gallery
 from benchmark.report.parts.depth_tables import MAIN_SUBSETS, OBJECTS, run_table
@@ -18,7 +18,7 @@ from std_toolkit.html.page import Block, Bullets, Page, Paragraph, Section, Verd
 from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.io.atomic import write_bytes_atomic
 
-PAGE, MARKDOWN, CSV = "report.html", "table.md", "table.csv"
+PAGE, MARKDOWN, CSV, POSES_CSV = "report.html", "table.md", "table.csv", "poses.csv"
 _NOTE = (
     "Figures are means over frames. `paper` is the released evaluation, which the published "
     "figures were made by; under `strict` a missing pixel counts with its whole depth. Published "
@@ -35,14 +35,19 @@ def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> st
     rows = recipe_table.recipe_rows(plan, outcome)
     sentences = recipe_table.findings(plan, outcome)
     plan.folder.mkdir(parents=True, exist_ok=True)
+    poses = recipe_poses.pose_rows(plan, outcome)
+    pose_tables = recipe_poses.pose_tables(plan, poses) if plan.poses else []
     texts = {
         CSV: rows.to_csv(index=False, lineterminator="\n"),
-        MARKDOWN: markdown(plan, outcome, rows, sentences),
-        PAGE: html(plan, outcome, rows, sentences),
+        MARKDOWN: markdown(plan, outcome, rows, sentences, pose_tables),
+        PAGE: html(plan, outcome, rows, sentences, pose_tables),
     }
+    if plan.poses:
+        texts[POSES_CSV] = poses.to_csv(index=False, lineterminator="\n")
     for name, text in texts.items():
         write_bytes_atomic(plan.folder / name, text.encode())
-    return f"{terminal(plan, rows, sentences)}\n{plan.folder / PAGE}"
+    shown = [terminal(plan, rows, sentences), *(table.terminal() for table in pose_tables)]
+    return "\n\n".join(shown) + f"\n{plan.folder / PAGE}"
 
 
 def scale_line(plan: recipe_plan.RecipePlan) -> str:
@@ -55,6 +60,7 @@ def markdown(
     outcome: recipe_run.Outcome,
     rows: pd.DataFrame,
     sentences: Sequence[str],
+    pose_tables: Sequence[Table] = (),
 ) -> str:
     """The tables as GitHub's Markdown; published rows in italics."""
     lines = [f"# {plan.recipe.title}", "", f"**{scale_line(plan)}**", "", plan.recipe.about, ""]
@@ -66,6 +72,10 @@ def markdown(
         for table in _tables(mine):
             lines += ["", table.markdown()]
         lines.append("")
+    if pose_tables:
+        lines += [f"## Poses (scale {plan.scale_name})", ""]
+        for table in pose_tables:
+            lines += [table.markdown(), ""]
     lines += [_NOTE]
     if outcome.problems:
         lines += ["", f"## What did not run (scale {plan.scale_name})", ""]
@@ -78,6 +88,7 @@ def html(
     outcome: recipe_run.Outcome,
     rows: pd.DataFrame,
     sentences: Sequence[str],
+    pose_tables: Sequence[Table] = (),
 ) -> str:
     """One file that needs nothing but itself; the same results give the same bytes."""
     results = [result for found in outcome.results.values() for result in found]
@@ -87,6 +98,8 @@ def html(
         blocks: list[Block] = [Paragraph(f"{_data(mine)}.")]
         blocks += [Paragraph(why, f"{what}:", "bad") for what, why in _absent(mine)]
         sections.append(Section(f"test-{i}", target.title, [*blocks, *_tables(mine)]))
+    if pose_tables:
+        sections.append(Section("poses", "Poses", list(pose_tables)))
     problems = [Paragraph(why, f"{what}:") for what, why in outcome.problems.items()]
     sections += [
         Section("problems", "What did not run", [Bullets(problems)]),

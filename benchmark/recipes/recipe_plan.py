@@ -15,6 +15,8 @@ from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.published.load import published_table
 from benchmark.recipes.frame_sets import FrameSet, given_set, parse_given, plan_set
 from benchmark.recipes.recipe import (
+    POSE_DEPTHS,
+    PoseVariant,
     Printed,
     Recipe,
     RecipeConfig,
@@ -39,6 +41,7 @@ class Pack:
     frames: FrameSet
     size: tuple[int, int]
     raw: Literal["sensor", "cut"]
+    nocs: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +82,7 @@ class RecipePlan:
         sets: that are needed, by name.
         packs: that are needed, each once.
         entries: methods without learning first.
+        poses: pose networks, by name.
         targets: the tests.
         out, devices: of the scores.
     """
@@ -94,6 +98,7 @@ class RecipePlan:
     targets: Sequence[Target]
     out: Path
     devices: tuple[str, ...]
+    poses: Mapping[str, Entry] = field(default_factory=dict)
 
     def place(self, target: Target) -> tuple[str, Path, str] | None:
         """Split and folder of a test and the name of its results; None if it is not available."""
@@ -165,7 +170,9 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     validation = None if judged_by is None else given_set("validation", judged_by, "val")
     targets = find_targets(recipe, config.data)
     variants = {k: v for k, v in recipe.variants.items() if not config.only or k in config.only}
-    needed = [v.set for v in variants.values()] + [t.set for t in targets if t.set]
+    wanted = {k: p for k, p in recipe.poses.items() if p.depth in (*POSE_DEPTHS, *variants)}
+    needed = [v.set for v in variants.values()] + [p.set for p in wanted.values()]
+    needed += [t.set for t in targets if t.set]
     sets = {one: plan_set(one, recipe, scale, given, out) for one in dict.fromkeys(needed)}
     if unused := [one for one in given if one not in sets and one not in _likes(recipe, sets)]:
         raise ToolkitError("the recipe has no use for this set", value=unused[0])
@@ -179,9 +186,16 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
         key: _entry(key, variant, config, scale, sets[variant.set], validation, out)
         for key, variant in variants.items()
     }
+    poses = {
+        key: _entry(key, _plain(pose), config, scale, sets[pose.set], validation, out, nocs=True)
+        for key, pose in wanted.items()
+    }
     usable = {key: entry for key, entry in trained.items() if not entry.problem}
-    packs = {pack.folder: pack for entry in usable.values() for pack in entry.packs}
+    fitting = {key: entry for key, entry in poses.items() if not entry.problem}
+    every = [*usable.values(), *fitting.values()]
+    packs = {pack.folder: pack for entry in every for pack in entry.packs}
     used = {variants[key].set for key in usable} | {t.set for t in targets if t.set}
+    used |= {recipe.poses[key].set for key in fitting}
     extra = "" if not config.seed else f".seed-{config.seed}"
     extra += "" if config.steps is None else f".steps-{config.steps}"
     return RecipePlan(
@@ -196,6 +210,18 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
         targets=[_with_reason(target, recipe, sets) for target in targets],
         out=out,
         devices=config.devices,
+        poses=poses,
+    )
+
+
+def _plain(pose: PoseVariant) -> Variant:
+    """What is trained of a pose variant."""
+    return Variant(
+        title=pose.title,
+        method=pose.method,
+        settings=pose.settings,
+        set=pose.set,
+        published=pose.published,
     )
 
 
@@ -219,6 +245,8 @@ def _entry(
     frames: FrameSet,
     validation: FrameSet | None,
     out: Path,
+    *,
+    nocs: bool = False,
 ) -> Entry:
     from benchmark.training.catalogue import get_trainable
     from benchmark.training.options import TrainOptions
@@ -240,10 +268,11 @@ def _entry(
         return replace(planned, problem=f"cannot be trained here: {error}")
     packs = [
         Pack(
-            folder=out / "packs" / _pack_name(one, size, variant.raw),
+            folder=out / "packs" / _pack_name(one, size, variant.raw, nocs=nocs),
             frames=one,
             size=size,
             raw=variant.raw,
+            nocs=nocs,
         )
         for one in (frames, validation)
         if one is not None
@@ -270,9 +299,9 @@ def _entry(
     )
 
 
-def _pack_name(frames: FrameSet, size: tuple[int, int], raw: str) -> str:
+def _pack_name(frames: FrameSet, size: tuple[int, int], raw: str, *, nocs: bool) -> str:
     cut = "" if raw == "sensor" else f".{raw}"
-    return f"{frames.name}{cut}.{size[0]}x{size[1]}"
+    return f"{frames.name}{cut}{'.nocs' if nocs else ''}.{size[0]}x{size[1]}"
 
 
 def _label(

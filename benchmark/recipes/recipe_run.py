@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.tasks.depth_results import RunResult, read_run
+from benchmark.evaluation.tasks.pose_results import PoseResult
 from benchmark.recipes.frame_sets import FrameSet, simulate
 from benchmark.recipes.recipe_plan import Entry, Pack, RecipePlan
 from std_toolkit.errors import ToolkitError
@@ -42,11 +43,13 @@ class Outcome:
     Attributes:
         trained: by entry.
         results: by entry and test.
+        poses: of pose networks, by name and test.
         problems: error lines, by what they are of.
     """
 
     trained: dict[str, Trained] = field(default_factory=dict)
     results: dict[tuple[str, str], list[RunResult]] = field(default_factory=dict)
+    poses: dict[tuple[str, str], PoseResult] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
 
 
@@ -101,9 +104,39 @@ def run_recipe(
             outcome.problems[entry.title] = str(error)
         if entry.training is not None:
             after(outcome)
+    for name, entry in plan.poses.items():
+        _pose(plan, name, entry, machine, jobs, outcome)
+        after(outcome)
     if not outcome.trained:
         after(outcome)
     return outcome
+
+
+def _pose(
+    plan: RecipePlan,
+    name: str,
+    entry: Entry,
+    machine: Machine,
+    jobs: JobOptions,
+    outcome: Outcome,
+) -> None:
+    """Train a pose network, unless another variant did, and score it."""
+    from benchmark.recipes.recipe_poses import score_poses
+
+    if entry.problem:
+        logger.error("%s: %s", entry.title, entry.problem)
+        outcome.problems[entry.title] = entry.problem
+        return
+    depth = plan.recipe.poses[name].depth
+    if depth in plan.recipe.variants and depth not in outcome.trained:
+        outcome.problems[entry.title] = f"the depth of {depth} is not there: it was not trained"
+        return
+    try:
+        outcome.trained[f"pose {name}"] = train(entry, machine)
+        score_poses(plan, name, jobs, outcome)
+    except ToolkitError as error:
+        logger.error("%s: %s", entry.title, error)
+        outcome.problems[entry.title] = str(error)
 
 
 def make_set(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
@@ -133,7 +166,7 @@ def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
     from benchmark.training.pack import pack_split
     from benchmark.training.shards import PackSetup
 
-    options = PackOptions(size=pack.size, raw=pack.raw)
+    options = PackOptions(size=pack.size, raw=pack.raw, nocs=pack.nocs)
     try:
         packed = pack_split(pack.folder, pack.frames.split, pack.frames.root, options, jobs)
     except ToolkitError as error:

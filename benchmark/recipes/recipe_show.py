@@ -104,6 +104,9 @@ def plan_text(plan: recipe_plan.RecipePlan) -> str:
     for entry in plan.entries:
         if entry.training is not None or entry.problem:
             lines += _training(entry)
+    once = {entry.label: entry for entry in plan.poses.values()}
+    for entry in once.values():
+        lines += _training(entry)
     lines.append("tests")
     for target in plan.targets:
         place = plan.place(target)

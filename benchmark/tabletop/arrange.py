@@ -78,20 +78,28 @@ def arrange(
 
     Args:
         seed: seed of the round.
-        assets: source of shapes; by default the test part of the built-in library.
+        assets: source of shapes; by default the test part of the built-in library. Of another
+            source, categories are drawn at random, and objects of known size keep it.
         parts_cache: cache folder of convex parts.
 
     Raises:
         ToolkitError: the objects do not come to rest, or a simulation library is missing.
     """
+    own = assets is not None
     assets = assets or open_source("procedural", SourceOptions(split="test"))
     shapes, looks = (np.random.default_rng([seed, k]) for k in range(2))
     count = int(shapes.integers(OBJECTS[0], OBJECTS[1] + 1))
     others = [OTHERS[int(k)] for k in shapes.permutation(len(OTHERS))]
+    categories = [*VESSELS, *others]
+    if own:
+        there = assets.categories()
+        categories = [there[int(k)] for k in shapes.integers(len(there), size=count)]
     objects = []
-    for number, category in enumerate([*VESSELS, *others][:count]):
+    for number, category in enumerate(categories[:count]):
         asset = assets.sample(shapes, category)
-        diagonal = min(draw_diagonal(shapes, asset), largest_diagonal(asset))
+        diagonal = draw_diagonal(shapes, asset)
+        if not own or asset.diagonal_m is None:
+            diagonal = min(diagonal, largest_diagonal(asset))
         material_class = draw_material_class(looks, category, allowed=("specular", "transparent"))
         material = draw_material(looks, material_class, textured=asset.texture is not None)
         body = PhysicalObject(asset, diagonal, convex_parts(asset, parts_cache))

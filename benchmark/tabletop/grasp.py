@@ -1,8 +1,9 @@
 """Execution of a grasp in MuJoCo: approach, closing, lift, hold.
 
 The parallel-jaw gripper consists of the boxes of a `Gripper`. Servos of limited force move it along
-the three world axes with fixed orientation, as an arm with a stiff wrist in a straight move. It
-pushes obstacles until the force limit is reached, which stops it. The fingers are coupled, as in
+the three world axes with fixed orientation, as an arm with a stiff wrist in a straight move. A
+guarded move stops where it feels a contact, backs off, and closes there. A straight move pushes
+obstacles until the force limit is reached, which ends the attempt. The fingers are coupled, as in
 the Panda gripper, and close with limited force.
 """
 
@@ -37,6 +38,9 @@ PAD_FRICTION = (0.8, 0.005, 0.0001)
 
 # An arm with a collision reflex stops at about this.
 PUSH_N = 40.0
+
+# A guarded move stops at this force of contact, and backs off by this way.
+TOUCH_N, BACK_OFF_M = 8.0, 0.006
 
 # Servo of the carriage: N/m and N s/m, critically damped for hand and armature together.
 _STIFFNESS, _ARMATURE_KG = 20_000.0, 0.5
@@ -148,7 +152,7 @@ class Stage:
     """Poses of gripper and objects at one moment.
 
     Attributes:
-        name: `pre-grasp`, `closed` or `lifted`.
+        name: `pre-grasp`, `stopped`, `closed` or `lifted`.
         T_world_hand: pose of the gripper, in the convention of `Grasps` with depth 0.
         opening: distance between the fingers, metres.
         poses: T_world_obj.
@@ -166,7 +170,8 @@ class Execution:
 
     Attributes:
         outcome: `held`, or the reason of failure: `start-hits-table`, `start-hits-object`,
-            `blocked-by-table`, `blocked-by-object`, `nothing-between`, `slipped`.
+            `blocked-by-table`, `blocked-by-object`, `nothing-between`, `slipped`. A guarded move
+            that was stopped and holds nothing in the end is blocked.
         held: indices of the objects in the gripper after holding.
         touched: indices of the objects that the closed fingers touched before the lift.
         pushed_m: largest displacement of an object by the approach, metres.
@@ -189,6 +194,7 @@ def execute(
     *,
     masses_kg: Sequence[float] | None = None,
     gripper: Gripper = PANDA,
+    guarded: bool = True,
 ) -> Execution:
     """Execute a grasp. The same input gives the same outcome, bit for bit.
 
@@ -198,13 +204,14 @@ def execute(
         grasp: one grasp, in the world frame.
         masses_kg: masses of the objects; equal by default.
         gripper: the gripper.
+        guarded: stop at a contact, back off and close, instead of giving up.
 
     Raises:
         ToolkitError: not exactly one grasp, or MuJoCo is not installed.
     """
     if len(grasp) != 1:
         raise ToolkitError("takes one grasp at a time", value=len(grasp))
-    return _Attempt(objects, poses, grasp, masses_kg, gripper).run()
+    return _Attempt(objects, poses, grasp, masses_kg, gripper, guarded).run()
 
 
 class _Attempt:
@@ -215,10 +222,11 @@ class _Attempt:
         grasp: Grasps,
         masses_kg: Sequence[float] | None,
         gripper: Gripper,
+        guarded: bool = True,
     ) -> None:
         import mujoco
 
-        self._mujoco = mujoco
+        self._mujoco, self._guarded = mujoco, guarded
         self.objects, self.start = tuple(objects), tuple(poses)
         self.R, self.approach = grasp.rotations[0], grasp.approaches[0]
         self.tip = grasp.tips[0]
@@ -256,10 +264,13 @@ class _Attempt:
         start = self._met(deeper=_TOUCH_M)
         if start:
             return self._ended("start-hits-table" if -1 in start else "start-hits-object")
+        blocked = ""
         if not self._move(self.tip, _APPROACH_M_S, stops=True):
-            met = self._met()
-            self._keep("stopped")
-            return self._ended("blocked-by-table" if -1 in met else "blocked-by-object")
+            blocked = "blocked-by-table" if -1 in self._met() else "blocked-by-object"
+            if not self._guarded:
+                self._keep("stopped")
+                return self._ended(blocked)
+            self._back_off()
         self.pushed = max((float(np.linalg.norm(b.t - a.t)) for a, b in self._pairs()), default=0.0)
         self._close()
         self._keep("closed")
@@ -271,7 +282,7 @@ class _Attempt:
         held = tuple(i for i, low in enumerate(self._lowest()) if low > HELD_M)
         if held:
             return self._ended("held", held, touched)
-        return self._ended("nothing-between" if nothing else "slipped", (), touched)
+        return self._ended(blocked or ("nothing-between" if nothing else "slipped"), (), touched)
 
     def _ended(
         self, outcome: str, held: tuple[int, ...] = (), touched: tuple[int, ...] = ()
@@ -290,11 +301,29 @@ class _Attempt:
             s = k / steps
             self.data.ctrl[:3] = begin + (target - begin) * s**3 * (10 - 15 * s + 6 * s**2)
             self._step(_CONTROL_STEPS)
-            if stops and self._lag() > _LAG_M:
+            if stops and (self._lag() > _LAG_M or (self._guarded and self._pressed() > TOUCH_N)):
                 self.data.ctrl[:3] = self.data.qpos[self._carriage]
                 return False
         self._step(50)
         return not (stops and self._lag() > _LAG_M)
+
+    def _back_off(self) -> None:
+        """Move back along the approach, until nothing presses."""
+        here = self.data.qpos[self._carriage].copy()
+        self._move(here - BACK_OFF_M * self.approach, _APPROACH_M_S)
+
+    def _pressed(self) -> float:
+        """Return the force, in newtons, with which contacts push against the approach."""
+        total, wrench = np.zeros(3), np.zeros(6)
+        for k, contact in enumerate(self.data.contact):
+            owners = [self.owner[self.model.geom_bodyid[g]] for g in (contact.geom1, contact.geom2)]
+            if (owners[0] == -2) == (owners[1] == -2):
+                continue
+            self._mujoco.mj_contactForce(self.model, self.data, k, wrench)
+            # The first axis of the frame points from the first geometry to the second.
+            force = contact.frame.reshape(3, 3).T @ wrench[:3]
+            total += force if owners[1] == -2 else -force
+        return float(-total @ self.approach)
 
     def _close(self) -> None:
         self.data.ctrl[3:] = CLOSED

@@ -112,6 +112,7 @@ def clear_table(
     color: bool,
     gripper: Gripper = PANDA,
     attempts: int = MOST_ATTEMPTS,
+    guarded: bool = True,
 ) -> Iterator[Attempt]:
     """Yield the attempts of a round. The same input gives the same attempts.
 
@@ -123,6 +124,7 @@ def clear_table(
         color: whether colour is used.
         gripper: the gripper.
         attempts: maximum number of attempts.
+        guarded: see `execute`.
     """
     state = State(arrangement.objects, arrangement.poses)
     memory, blind = _Memory(), 0
@@ -144,7 +146,7 @@ def clear_table(
         blind = 0
         executed = execute(
             [o.body for o in state.objects], state.poses, chosen,
-            masses_kg=[o.mass_kg for o in state.objects], gripper=gripper,
+            masses_kg=[o.mass_kg for o in state.objects], gripper=gripper, guarded=guarded,
         )  # fmt: skip
         if not executed.held:
             memory.failed.append((chosen.tips[0], chosen.rotations[0]))

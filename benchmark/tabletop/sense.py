@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -163,10 +164,45 @@ def materials_of(objects: Sequence[TableObject]) -> dict[int, str]:
     return {k: o.material.material_class for k, o in enumerate(objects)}
 
 
-def shaded(exact: ExactView) -> NDArray[np.uint8]:
-    """Return a grey image (h, w, 3) lit from the camera, for planners that use depth only."""
+def shaded(
+    exact: ExactView, glass: Sequence[int] = (), camera: Camera | None = None
+) -> NDArray[np.uint8]:
+    """Return a plain image (h, w, 3) lit from the camera, for planners that use depth only.
+
+    Args:
+        exact: the view.
+        glass: indices of objects through which the surface behind is seen, bent by their normals,
+            with a bright rim and a highlight.
+        camera: of the view; needed for glass.
+    """
     light = np.clip(-exact.normals[..., 2], 0.1, 1.0)
-    return np.repeat(np.rint(200 * light)[..., None], 3, axis=2).astype(np.uint8)
+    image = np.repeat(np.rint(200 * light)[..., None], 3, axis=2).astype(np.uint8)
+    through = np.isin(exact.mask, list(glass))
+    if camera is None or not through.any():
+        return image
+    # What is behind, drawn as of a surface that faces the camera as the table does.
+    table = np.median(light[exact.mask == BACKGROUND]) if (exact.mask == BACKGROUND).any() else 0.7
+    ground = np.where(through, 200 * table, image[..., 0]).astype(np.float32)
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float32)
+    bend = _BEND_PX * (1 - light)
+    shifted = cv2.remap(
+        ground,
+        (u + bend * exact.normals[..., 0]).astype(np.float32),
+        (v + bend * exact.normals[..., 1]).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REFLECT,
+    )
+    slant = 1 - light
+    shine = np.clip((exact.normals @ _SHINE.astype(np.float32) - 0.97) / 0.03, 0, 1)
+    seen = shifted * (1 - 0.6 * slant**2) + 130 * slant**4 + 120 * shine
+    tint = np.clip(seen[..., None] * _GLASS, 0, 255).astype(np.uint8)
+    return np.where(through[..., None], tint, image)
+
+
+# Glass in plain views: how far it bends, its tint, and where light is mirrored, camera frame.
+_BEND_PX = 24.0
+_GLASS = np.array([0.94, 0.98, 1.0])
+_SHINE = np.array([-0.5, -0.6, -0.62]) / np.linalg.norm([-0.5, -0.6, -0.62])
 
 
 class QuickCamera:
@@ -194,7 +230,12 @@ class QuickCamera:
             rng=np.random.default_rng([self._scenery.seed, 11, attempt]),
             shares={k: self._shares[o.number] for k, o in enumerate(objects)},
         )  # fmt: skip
-        image = self._scenery.color(objects, poses, attempt) if color else shaded(exact)
+        if color:
+            image = self._scenery.color(objects, poses, attempt)
+        else:
+            kinds = materials_of(objects).items()
+            glass = [k for k, kind in kinds if kind == "transparent"]
+            image = shaded(exact, glass, self.camera)
         return Observation(_frame(objects, image, measured, exact, self.camera, attempt), exact)
 
 

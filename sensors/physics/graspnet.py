@@ -72,21 +72,37 @@ class GraspNetScenes:
         found = self._root.glob(f"scenes/scene_[0-9][0-9][0-9][0-9]/{self._camera}/annotations")
         return sorted(int(p.parent.parent.name[-4:]) for p in found)
 
+    def images(self, scene: int) -> list[int]:
+        """Numbers of the annotated images of a scene."""
+        found = self._folder(scene).glob("annotations/[0-9][0-9][0-9][0-9].xml")
+        return sorted(int(path.stem) for path in found)
+
+    def camera_pose(self, scene: int, *, image: int = 0) -> SE3:
+        """T_world_cam of an image; the world is that of `placed`.
+
+        Raises:
+            ToolkitError: a file is missing or malformed.
+        """
+        folder = self._folder(scene)
+        T_world_cam0 = _pose(_array(folder / "cam0_wrt_table.npy"), folder / "cam0_wrt_table.npy")
+        path = folder / "camera_poses.npy"
+        cameras = _array(path)
+        if cameras.ndim != 3 or not 0 <= image < len(cameras):
+            raise ToolkitError("no camera pose for this image", path=path, value=image)
+        return T_world_cam0 @ _pose(cameras[image], path)
+
     def placed(self, scene: int, *, image: int = 0) -> list[PlacedModel]:
         """Poses of the models of a scene, as annotated in one of its images.
 
         Raises:
             ToolkitError: a file is missing or malformed.
         """
-        folder = self._root / "scenes" / f"scene_{scene:04d}" / self._camera
-        T_world_cam0 = _pose(_array(folder / "cam0_wrt_table.npy"), folder / "cam0_wrt_table.npy")
-        path = folder / "camera_poses.npy"
-        cameras = _array(path)
-        if cameras.ndim != 3 or not 0 <= image < len(cameras):
-            raise ToolkitError("no camera pose for this image", path=path, value=image)
-        T_world_cam = T_world_cam0 @ _pose(cameras[image], path)
-        annotation = folder / "annotations" / f"{image:04d}.xml"
+        T_world_cam = self.camera_pose(scene, image=image)
+        annotation = self._folder(scene) / "annotations" / f"{image:04d}.xml"
         return [PlacedModel(k, T_world_cam @ T) for k, T in _annotated(annotation)]
+
+    def _folder(self, scene: int) -> Path:
+        return self._root / "scenes" / f"scene_{scene:04d}" / self._camera
 
     def model(self, number: int) -> tuple[Asset, NDArray[np.float64]]:
         """A scanned model as an asset of its real size, and its centre (3,) in the model's frame.

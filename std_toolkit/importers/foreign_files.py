@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import check_mesh_size, mesh_diameter, mesh_extents
 from std_toolkit.io import atomic, exr, images
+from std_toolkit.io.tiff import TIFF_SUFFIXES, read_tiff
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, Model, SymmetryModel
 
 if TYPE_CHECKING:
@@ -41,10 +42,11 @@ class ForeignDepth:
 
 
 def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
-    """Depth of `size` (width, height) from a 16-bit PNG or an EXR.
+    """Depth of `size` (width, height) from a 16-bit PNG, an EXR, or a TIFF.
 
     NaN, infinity and negative numbers (DREDS writes -0.001), and the saturated 65535 of 16-bit
-    images, mean "no measurement" and become 0. An EXR may have one channel or equal ones.
+    images, mean "no measurement" and become 0. An EXR may have one channel or equal ones. A TIFF
+    contains 16-bit or float units.
 
     Raises:
         ToolkitError: unreadable, of another size, or not a depth image.
@@ -56,9 +58,19 @@ def read_foreign_depth(path: Path, *, size: tuple[int, int]) -> ForeignDepth:
         if missing.any():
             values = np.where(missing, np.zeros((), values.dtype), values)
         return ForeignDepth(values, True)
+    if path.suffix.lower() in TIFF_SUFFIXES:
+        stored = read_tiff(path)
+        check_aligned(path, (stored.shape[1], stored.shape[0]), size)
+        if stored.dtype == np.uint8:
+            raise ToolkitError("depth in a TIFF must be 16-bit or float", path=path, value="uint8")
+        numbers = stored.astype(np.float32)
+        unknown = ~np.isfinite(numbers) | (numbers < 0) | (numbers == _SATURATED)
+        return ForeignDepth(np.where(unknown, np.zeros((), stored.dtype), stored), True)
     if path.suffix.lower() != ".png":
         raise ToolkitError(
-            "depth must be a 16-bit PNG or an EXR", path=path, hint="JPEG and 8-bit lose depth"
+            "depth must be a 16-bit PNG, an EXR or a TIFF",
+            path=path,
+            hint="JPEG and 8-bit lose depth",
         )
     raw = images.read_png(path)
     check_aligned(path, (raw.shape[1], raw.shape[0]), size)

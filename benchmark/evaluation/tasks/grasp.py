@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
 from benchmark.evaluation.engine import Task, TaskRun, weights_digest
@@ -13,6 +16,7 @@ from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks import grasp_results
+from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_table, plan_dump
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
@@ -26,6 +30,9 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
 from std_toolkit.scene.document import digest_file
+
+if TYPE_CHECKING:
+    from sensors.assets import AssetSource
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
 
@@ -83,10 +90,14 @@ class GraspRun(TaskRun[None, Methods]):
     Attributes:
         depth, depth_options: `raw`, `gt`, or a restorer and its options.
         planner, planner_options: a registered planner, or `oracle`.
+        label: name of the planner in tables.
         rounds, seed: number of rounds, and their seed.
         out: folder of results.
         camera: `quick` or `simulated`.
         attempts: maximum number of attempts per round.
+        move: `guarded` or `straight`.
+        meshes, meshes_unit: folder of meshes for the tables and its unit; None for the built-in
+            shapes.
         devices: torch devices; each worker uses one.
         strips: save pictures of every attempt.
     """
@@ -95,6 +106,7 @@ class GraspRun(TaskRun[None, Methods]):
     network_shares_cpu = True
     depth: str
     planner: str
+    label: str | None = None
     rounds: int
     seed: int
     out: Path
@@ -102,6 +114,9 @@ class GraspRun(TaskRun[None, Methods]):
     planner_options: MethodOptions = field(default_factory=MethodOptions)
     camera: sense.CameraKind = "quick"
     attempts: int = round.MOST_ATTEMPTS
+    move: Literal["guarded", "straight"] = "guarded"
+    meshes: Path | None = None
+    meshes_unit: Literal["m", "cm", "mm"] | None = None
     devices: tuple[str, ...] = ("cpu",)
     strips: bool = True
 
@@ -111,11 +126,12 @@ class GraspRun(TaskRun[None, Methods]):
 
     @property
     def planner_label(self) -> str:
-        return plain_label(self.planner)
+        return self.label or plain_label(self.planner)
 
     @property
     def folder(self) -> Path:
-        seeded = f"{self.camera}-seed{self.seed}"
+        shapes = f"-{self.meshes.resolve().name}" if self.meshes else ""
+        seeded = f"{self.camera}-seed{self.seed}{shapes}"
         return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
 
     @property
@@ -127,7 +143,21 @@ class GraspRun(TaskRun[None, Methods]):
         """Whether the depth comes from a restorer."""
         return self.depth not in (RAW, TRUE)
 
+    @property
+    def assets(self) -> AssetSource | None:
+        """Source of the user's meshes.
+
+        Raises:
+            ToolkitError: no such folder, or no mesh in it.
+        """
+        if self.meshes is None:
+            return None
+        from sensors.assets import SourceOptions, open_source
+
+        return open_source("folder", SourceOptions(root=self.meshes, unit=self.meshes_unit))
+
     def check_data(self) -> None:
+        _ = self.assets  # refused before anything runs
         logger.info("%s: %d rounds", self.title, self.rounds)
 
     def open(self) -> None:
@@ -167,6 +197,10 @@ class GraspRun(TaskRun[None, Methods]):
             precision=network.precision,
             compile=network.compile,
             device=self.devices[0].partition(":")[0],
+            move=self.move,
+            meshes="" if self.meshes is None else self.meshes.resolve().name,
+            meshes_sha256="" if self.meshes is None else _files_digest(self.meshes),
+            meshes_unit=self.meshes_unit or "",
         )
         return GraspManifest(
             depth_label=self.depth_label,
@@ -187,13 +221,16 @@ class GraspRun(TaskRun[None, Methods]):
         """Clear the table of one round, and write its rows and pictures."""
         from sensors.simulation.simulated_set import parts_cache
 
-        arrangement = arrange(round_seed(self.seed, item), parts_cache=parts_cache())
+        arrangement = arrange(
+            round_seed(self.seed, item), assets=self.assets, parts_cache=parts_cache()
+        )
         camera = sense.make_camera(self.camera, arrangement, parts_cache=parts_cache())
         plan: round.Plan = methods.plan
         attempts = list(
             round.clear_table(
                 arrangement, camera, methods.given, plan,
                 color=methods.looks_at_color, attempts=self.attempts,
+                guarded=self.move == "guarded",
             )
         )  # fmt: skip
         if self.strips:
@@ -208,13 +245,32 @@ class GraspRun(TaskRun[None, Methods]):
         return grasp_results.read_grasp_run(self.folder, rounds=self.rounds)
 
 
-def plan_runs(config: GraspConfig) -> list[GraspRun]:
-    """Return the runs, grouped by planner.
+def _files_digest(folder: Path) -> str:
+    """Hash of the names and sizes of all files of a folder."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    lines = [f"{path.relative_to(folder)} {path.stat().st_size}" for path in files]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
+    """Return the runs, grouped by planner, or that of a dump.
 
     Raises:
         ToolkitError: weights or settings for a method that is not requested, an unknown planner,
             or a label that cannot be the name of a folder.
     """
+    if config.dump is not None:
+        return plan_dump(
+            dump=config.dump,
+            data=config.data,
+            split=config.graspnet_split,
+            camera=config.graspnet_camera,
+            contacts=config.contacts,
+            label=config.label,
+            out=config.out,
+        )
+    if config.data is not None:
+        raise ToolkitError("belongs to --dump", field="--data", value=str(config.data))
     for name in config.planners:
         if name != ORACLE and ":" not in name and name not in grasp_planners.names():
             raise ToolkitError(
@@ -228,12 +284,13 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
         *(p for p in config.planners if p != ORACLE),
     ]
     options = options_by_method(config, names)
-    for name in (*config.depths, *config.planners):
+    for name in (*config.depths, *config.planners, *filter(None, [config.label])):
         checked_label(plain_label(name))
     return [
         GraspRun(
             depth=depth,
             planner=planner,
+            label=config.label,
             rounds=config.rounds,
             seed=config.seed,
             out=config.out,
@@ -241,6 +298,9 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
             planner_options=options.get(planner, MethodOptions()),
             camera=config.camera,
             attempts=config.attempts,
+            move=config.move,
+            meshes=config.meshes,
+            meshes_unit=config.meshes_unit,
             devices=config.devices,
             strips=config.gallery,
         )
@@ -248,8 +308,14 @@ def plan_runs(config: GraspConfig) -> list[GraspRun]:
     ]
 
 
-TASK = Task(
-    plan=plan_runs,
-    table=lambda results, _: grasp_results.grasp_table(results),
-    records=lambda results, _: grasp_results.grasp_records(results),
-)
+def _table(results: Sequence[Any], config: GraspConfig) -> str:
+    is_dump = config.dump is not None
+    return dump_table(results) if is_dump else grasp_results.grasp_table(results)
+
+
+def _records(results: Sequence[Any], config: GraspConfig) -> Sequence[Any]:
+    is_dump = config.dump is not None
+    return dump_records(results) if is_dump else grasp_results.grasp_records(results)
+
+
+TASK = Task(plan=plan_runs, table=_table, records=_records)

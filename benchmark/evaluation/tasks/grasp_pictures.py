@@ -1,10 +1,13 @@
 """A strip of pictures of an attempt: camera image, depth of the planner, and stages of the grasp.
 
-Rendered by ray casting, so that no GPU or display is needed: shaded surfaces, glass in blue, metal
-in grey, the gripper in orange.
+Rendered by ray casting, so that no GPU or display is needed: shaded surfaces, see-through glass,
+metal in grey, the gripper in orange.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,6 +19,7 @@ from benchmark.tabletop.grasp import Stage
 from benchmark.tabletop.round import Attempt
 from sensors.physics import PhysicalObject
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering import maps, mesh, raycast, renderer
 
 Image = NDArray[np.uint8]
@@ -24,7 +28,9 @@ WIDTH, HEIGHT = 288, 216
 _BAND = 18
 # Viewed from the right of the camera and further away, so that the lifted gripper is in view.
 _EYE, _TARGET = (0.42, -0.55, 0.42), (0.0, 0.0, 0.14)
-_COLORS = {"transparent": (120, 170, 235), "specular": (185, 185, 190)}
+_COLORS = {"transparent": (175, 205, 235), "specular": (185, 185, 190)}
+# Share of what is behind that glass lets through, where it faces the eye.
+_CLEAR = 0.75
 _HAND, _TABLE = (235, 140, 60), (232, 226, 214)
 
 
@@ -53,18 +59,41 @@ def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
     T_world_cam = look_at(_EYE, _TARGET)
     T_cam_world = T_world_cam.inverse()
     placed: list[renderer.PlacedMesh] = []
+    glass: list[int] = []
     colors: list[tuple[int, int, int]] = []
     for obj, T in zip(attempt.before.objects, stage.poses, strict=True):
         placed.append(renderer.PlacedMesh(len(placed) + 1, _mesh(obj.body), T_cam_world @ T))
         colors.append(_COLORS.get(obj.material.material_class, (200, 200, 120)))
+        if obj.material.material_class == "transparent":
+            glass.append(len(placed) - 1)
     boxes = gripper.boxes([stage.opening], [0.0])
     for low, high in zip(boxes.low[0], boxes.high[0], strict=True):
         placed.append(
             renderer.PlacedMesh(len(placed) + 1, _box(low, high), T_cam_world @ stage.T_world_hand)
         )
         colors.append(_HAND)
-    seen = maps.compose(raycast.RaycastRenderer(threads=1), camera, placed)
-    normals = maps.surface_maps(camera, placed, seen)[1]
+    image, normals, index = _drawn(camera, T_world_cam, placed, colors)
+    through = np.isin(index, glass)
+    if through.any():
+        solid = [k for k in range(len(placed)) if k not in glass]
+        behind, _, _ = _drawn(
+            camera, T_world_cam, [placed[k] for k in solid], [colors[k] for k in solid]
+        )
+        clear = _CLEAR * np.clip(-normals[..., 2:], 0, 1) ** 0.5
+        image = np.where(through[..., None], clear * behind + (1 - clear) * image, image)
+    return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+
+
+def _drawn(
+    camera: Camera,
+    T_world_cam: SE3,
+    placed: Sequence[renderer.PlacedMesh],
+    colors: Sequence[tuple[int, int, int]],
+) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int64]]:
+    """Picture (h, w, 3) of meshes on the table, their normals, and the mesh of each pixel or -1."""
+    renumbered = [replace(one, object_id=k) for k, one in enumerate(placed, start=1)]
+    seen = maps.compose(raycast.RaycastRenderer(threads=1), camera, renumbered)
+    normals = maps.surface_maps(camera, renumbered, seen)[1]
     rays = camera.rays()
     down = rays @ T_world_cam.R[2]
     table = np.where(down < 0, -T_world_cam.t[2] / np.where(down < 0, down, -1), 0)
@@ -76,7 +105,7 @@ def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
     points = T_world_cam @ (rays * table[..., None]).reshape(-1, 3)
     checks = (np.floor(points[:, :2] / 0.05).astype(np.int64).sum(axis=1) % 2).reshape(table.shape)
     image[on_table] = (np.array(_TABLE, float) - 10.0 * checks[..., None])[on_table]
-    return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+    return image, normals, np.where(there, seen.index, -1)
 
 
 def _mesh(obj: PhysicalObject) -> mesh.RenderMesh:

@@ -36,7 +36,7 @@ from benchmark.evaluation.tasks.grasp_table import (
     OBJECT,
     PRECISION,
 )
-from benchmark.metrics.significance import mean_interval
+from benchmark.metrics.significance import mean_interval, paired_test
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
@@ -112,7 +112,7 @@ def rates_of(table: pd.DataFrame) -> Rates:
     first = views[views[PRECISION[0]].notna()]
     rounds = np.sort(objects[INDEX].unique())
     by_round = removed.groupby(objects[INDEX]).mean().reindex(rounds)
-    won_by_round = won.groupby(tried[INDEX]).mean().reindex(rounds).fillna(0.0)
+    won_by_round = _successes(table)
     return Rates(
         rounds=len(rounds),
         objects=len(objects),
@@ -134,19 +134,58 @@ def rates_of(table: pd.DataFrame) -> Rates:
     )
 
 
-def completion_gain(table: pd.DataFrame, other: pd.DataFrame) -> Rate:
-    """Return completion per table of a run minus that of another run on the same rounds.
+@dataclass(frozen=True)
+class Gain:
+    """A rate per table of a run minus that of another run on the same tables.
+
+    Attributes:
+        rate: the difference; its total is the number of tables that both have.
+        p: of the sign-flip test over tables, see `benchmark.metrics.significance.paired_test`;
+            NaN without a table.
+    """
+
+    rate: Rate
+    p: float
+
+
+def completion_gain(
+    table: pd.DataFrame, other: pd.DataFrame, *, material: str | None = None
+) -> Gain:
+    """Compare completion per table of two runs.
 
     Rounds that only one of them has are skipped, so that both have the same tables.
+
+    Args:
+        table, other: of the runs.
+        material: only of objects of this class, on tables that have one; None for all.
     """
-    both = [_completions(t) for t in (table, other)]
-    shared = both[0].index.intersection(both[1].index)
-    return _rate(both[0].loc[shared] - both[1].loc[shared], shared)
+    return _gain(*(_completions(t, material) for t in (table, other)))
 
 
-def _completions(table: pd.DataFrame) -> pd.Series:
+def success_gain(table: pd.DataFrame, other: pd.DataFrame) -> Gain:
+    """The same for success per table; a table without an attempt counts 0."""
+    return _gain(*(_successes(t) for t in (table, other)))
+
+
+def _gain(mine: pd.Series, others: pd.Series) -> Gain:
+    shared = mine.index.intersection(others.index)
+    a, b = mine.loc[shared].astype(float), others.loc[shared].astype(float)
+    p = paired_test(a, b, shared).p_flip if len(shared) else float("nan")
+    return Gain(_rate(a - b, shared), p)
+
+
+def _completions(table: pd.DataFrame, material: str | None = None) -> pd.Series:
     objects = table[table[KIND] == OBJECT]
+    if material is not None:
+        objects = objects[objects["material"] == material]
     return objects["fate"].isin([GRASPED, LOST]).groupby(objects[INDEX]).mean()
+
+
+def _successes(table: pd.DataFrame) -> pd.Series:
+    views = table[table[KIND] == ATTEMPT]
+    tried = views[views["executed"]]
+    rounds = np.sort(table[INDEX].unique())
+    return (tried["held"] > 0).groupby(tried[INDEX]).mean().reindex(rounds).fillna(0.0)
 
 
 def _rate(values: pd.Series, rounds: Sequence[int] | pd.Series) -> Rate:
@@ -172,7 +211,8 @@ class GraspResult(Result[GraspManifest]):
     @property
     def name(self) -> RunName:
         setup = self.manifest.setup
-        return setup.camera, setup.seed, self.manifest.planner_label, self.manifest.depth_label
+        shown = f"{setup.camera}, {setup.meshes}" if setup.meshes else setup.camera
+        return shown, setup.seed, self.manifest.planner_label, self.manifest.depth_label
 
     @property
     def title(self) -> str:

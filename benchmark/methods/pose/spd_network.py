@@ -63,6 +63,7 @@ class PriorNetworkConfig:
             must learn places that it was never shown.
         input_size: (width, height) of the frames that patches are cut out of.
         trained_on: depth that the points of training come from.
+        restorer, restorer_weights: of `trained_on=restored`; by default the weights that ship.
         masks: whose masks objects are cut out by: a pose method that segments, such as `nocs`, or
             `true` for those of the ground truth.
         mask_preset, mask_weights: of that method; by default the weights that come with it.
@@ -86,7 +87,9 @@ class PriorNetworkConfig:
     hidden: tuple[int, ...] = (512, 256)
     centred: bool = False
     input_size: tuple[int, int] = (640, 360)
-    trained_on: Literal["raw", "true"] = "raw"
+    trained_on: Literal["raw", "true", "restored"] = "raw"
+    restorer: str = "swindrnet"
+    restorer_weights: str | None = None
     masks: str = "nocs"
     mask_preset: str = "published"
     mask_weights: str | None = None
@@ -116,6 +119,13 @@ PRESETS = {
         centred=True,
     ),
 }
+PRESETS["small"] = replace(
+    PRESETS["compact"],
+    color_width=20,
+    color_decoder=(48, 24, 24, 24),
+    width=160,
+    hidden=(160, 96),
+)
 
 
 class PriorNetwork(nn.Module):

@@ -19,9 +19,11 @@ from std_toolkit.importers import bop_documents, foreign_files
 from std_toolkit.importers.bop_documents import unchecked_pose
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import image_size
+from std_toolkit.io.tiff import TIFF_SUFFIXES, tiff_size
 
 _ID = Annotated[int, msgspec.Meta(ge=0, le=999_999)]
 _PICTURES = ("rgb", "gray", "depth")
+_SUFFIXES = (".png", ".jpg", ".tif")
 
 
 class BopTarget(msgspec.Struct, frozen=True, kw_only=True):
@@ -141,6 +143,13 @@ class BopDataset:
         return folder / sensor if kind == sensor and not named.is_dir() else named
 
     @cached_property
+    def _picture_folders(self) -> dict[int, list[Path]]:
+        """Folders of pictures that are there, by scene."""
+        kinds = {n: (*_PICTURES, *filter(None, [s])) for n, s in self.sensors.items()}
+        found = {n: [self.pictures(n, kind) for kind in each] for n, each in kinds.items()}
+        return {n: [f for f in folders if f.is_dir()] for n, folders in found.items()}
+
+    @cached_property
     def has_depth(self) -> bool:
         """Whether any scene has depth and a pinhole camera: without, there is no VSD."""
         return any(
@@ -180,18 +189,18 @@ class BopDataset:
         if model is not None and model.image_width and model.image_height:
             return model.image_width, model.image_height
         sensor = self.sensors[scene_id]
-        for kind in (*_PICTURES, sensor):
-            for suffix in (".png", ".jpg"):
-                path = self.pictures(scene_id, kind) / f"{im_id:06d}{suffix}"
+        for folder in self._picture_folders[scene_id]:
+            for suffix in _SUFFIXES:
+                path = folder / f"{im_id:06d}{suffix}"
                 if path.is_file():
-                    return image_size(path)
+                    return _size_of(path)
         named = self.root / f"camera_{sensor}.json"
         path = named if sensor and named.is_file() else self.root / "camera.json"
         if not path.is_file():
-            folders = (self.pictures(scene_id, kind) for kind in _PICTURES)
-            other = next((p for f in folders for p in sorted(f.glob("*.[jp][pn]g"))), None)
+            found = (p for f in self._picture_folders[scene_id] for p in sorted(f.iterdir()))
+            other = next((p for p in found if p.suffix.lower() in _SUFFIXES), None)
             if other is not None:
-                return image_size(other)
+                return _size_of(other)
             raise ToolkitError(
                 "cannot tell the size of the image",
                 path=self.folder(scene_id),
@@ -203,6 +212,8 @@ class BopDataset:
 
     def _depth(self, scene_id: int, im_id: int, size: tuple[int, int]) -> NDArray[np.float32]:
         path = self.pictures(scene_id, "depth") / f"{im_id:06d}.png"
+        if not path.is_file() and (tiff := path.with_suffix(".tif")).is_file():
+            path = tiff  # ITODD
         if not path.is_file():
             raise ToolkitError("VSD needs the image's depth", path=path)
         return foreign_files.read_foreign_depth(path, size=size).values.astype(np.float32)
@@ -214,3 +225,7 @@ class BopDataset:
             ToolkitError: the model is missing or damaged.
         """
         return read_model(self.root, obj_id, symmetry_steps=self.symmetry_steps)
+
+
+def _size_of(path: Path) -> tuple[int, int]:
+    return tiff_size(path) if path.suffix.lower() in TIFF_SUFFIXES else image_size(path)

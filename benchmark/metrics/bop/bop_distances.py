@@ -37,10 +37,39 @@ _ROUNDS = 40
 _EXTREMES = np.stack(np.meshgrid(*3 * [[-1.0, 0.0, 1.0]]), axis=-1).reshape(-1, 3)
 
 
-def pinhole(camera: Camera) -> Project:
+@dataclass(frozen=True)
+class Pinhole:
     """Projection by focal lengths, without lens distortion, relative to the principal point.
 
     Points that are not in front of the camera give infinity.
+
+    Attributes:
+        fx, fy: focal lengths, pixels.
+
+    >>> Pinhole(60, 60)(np.array([0.5, 0.25, 1.0])).tolist()
+    [30.0, 15.0]
+    """
+
+    fx: float
+    fy: float
+
+    def __call__(self, points: Floats) -> Floats:
+        z = points[2]
+        if not z.min() > 0:
+            return np.full((2, *z.shape), np.inf)
+        seen = points[:2] / z
+        seen[0] *= self.fx
+        seen[1] *= self.fy
+        return seen
+
+    def of(self, R: Floats, t: Floats) -> tuple[Floats, Floats]:
+        """(3, 3) and (3,) that map points of the object to homogeneous pixels."""
+        focal = np.array([self.fx, self.fy, 1.0])
+        return focal[:, None] * R, focal * t
+
+
+def pinhole(camera: Camera) -> Pinhole:
+    """The projection of a camera without its principal point and distortion.
 
     Args:
         camera: its focal lengths are used.
@@ -48,21 +77,10 @@ def pinhole(camera: Camera) -> Project:
     Returns:
         The projection.
 
-    >>> pinhole(Camera(64, 48, 60, 60, 31.5, 23.5))(np.array([0.5, 0.25, 1.0])).tolist()
-    [30.0, 15.0]
+    >>> pinhole(Camera(64, 48, 60, 60, 31.5, 23.5))
+    Pinhole(fx=60.0, fy=60.0)
     """
-    fx, fy = camera.fx, camera.fy
-
-    def project(points: Floats) -> Floats:
-        z = points[2]
-        if not z.min() > 0:
-            return np.full((2, *z.shape), np.inf)
-        seen = points[:2] / z
-        seen[0] *= fx
-        seen[1] *= fy
-        return seen
-
-    return project
+    return Pinhole(camera.fx, camera.fy)
 
 
 def fisheye624(f: tuple[float, float], coefficients: Sequence[float]) -> Project:
@@ -153,8 +171,9 @@ class ModelDistances:
             centre = np.asarray(self.symmetry.continuous[0][1])
             return float(np.linalg.norm((estimate.R - R) @ centre + estimate.t - t))
         if not self.symmetry.continuous:
-            apart = (estimate.R - R) @ self.hull + (estimate.t - t)[:, None]
-            return float(np.sqrt(np.einsum("ij,ij->j", apart, apart).max()))
+            from benchmark.metrics.bop.projected_points import largest_move
+
+            return float(np.sqrt(largest_move(self.hull, estimate.R - R, estimate.t - t)))
         target = estimate.R @ self.hull + estimate.t[:, None]
 
         def distance(points: Floats, which: Ids) -> Floats:
@@ -167,11 +186,28 @@ class ModelDistances:
         found = np.full((len(estimates), len(truths)), np.inf)
         if not estimates:
             return found
+        if isinstance(project, Pinhole) and not self.symmetry.continuous:
+            return self._pinhole_mspd(estimates, truths, project)
         seen = [project(_placed(self.vertices, T.R, T.t)) for T in estimates]
         for j, truth in enumerate(truths):
             for S in self._discrete:
                 R, t = truth.R @ S.R, truth.R @ S.t + truth.t
                 for i, pixels in enumerate(self._pixels(seen, R, t, project)):
+                    found[i, j] = min(found[i, j], pixels)
+        return found
+
+    def _pinhole_mspd(
+        self, estimates: Sequence[SE3], truths: Sequence[SE3], project: Pinhole
+    ) -> Floats:
+        from benchmark.metrics.bop.projected_points import largest_distance  # numba loads slowly
+
+        found = np.full((len(estimates), len(truths)), np.inf)
+        for j, truth in enumerate(truths):
+            for S in self._discrete:
+                true = project.of(truth.R @ S.R, truth.R @ S.t + truth.t)
+                for i, estimate in enumerate(estimates):
+                    seen = project.of(estimate.R, estimate.t)
+                    pixels = largest_distance(self.vertices, *seen, *true)
                     found[i, j] = min(found[i, j], pixels)
         return found
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmark.metrics.grasp import collision, force_closure, grasp, gripper
+from benchmark.metrics.grasp import collision, force_closure, grasp, gripper, sdf_contacts
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
 Floats = NDArray[np.float64]
+
+# Where fingers meet an object: on its mesh, or as in graspnetAPI, see `sdf_contacts`.
+ContactKind = Literal["exact", "sdf"]
 
 TOP = 50
 PER_OBJECT = 10
@@ -53,6 +57,11 @@ class JudgedObject:
         """What fingers close on."""
         return force_closure.GraspedMesh(self.vertices, self.faces)
 
+    @cached_property
+    def sdf(self) -> sdf_contacts.SdfMesh:
+        """The same as graspnetAPI has it."""
+        return sdf_contacts.SdfMesh(self.vertices, self.faces)
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -77,6 +86,8 @@ def judge_grasps(
     objects: Sequence[JudgedObject],
     poses: Sequence[SE3],
     T_cam_table: SE3 | None = None,
+    *,
+    contacts: ContactKind = "exact",
 ) -> Judged:
     """Judge a planner's grasps of an image as GraspNet does.
 
@@ -90,6 +101,8 @@ def judge_grasps(
         objects: of the scene.
         poses: T_cam_obj of each.
         T_cam_table: the table, z = 0; None where there is none.
+        contacts: `sdf` gives the figures of graspnetAPI, with its quantised normals and the flat
+            faces that it misses.
 
     Returns:
         The grasps that count, best first, and what became of each.
@@ -109,7 +122,7 @@ def judge_grasps(
         raise ToolkitError("needs objects and a pose for each", value=(len(objects), len(poses)))
     counted = _counted(grasps, objects, poses)
     clouds = [T @ o.thinned for o, T in zip(objects, poses, strict=True)]
-    scene = np.concatenate(clouds if T_cam_table is None else [*clouds, T_cam_table @ _table()])
+    things = np.concatenate(clouds)
     count = len(counted)
     collided, empty = np.zeros(count, bool), np.zeros(count, bool)
     friction = np.full(count, force_closure.NO_CLOSURE)
@@ -118,12 +131,14 @@ def judge_grasps(
         if not len(mine):
             continue
         low, high = cloud.min(axis=0) - _AROUND_M, cloud.max(axis=0) + _AROUND_M
-        near = collision.Cloud(scene[((scene > low) & (scene < high)).all(axis=1)])
+        scene = [things] if T_cam_table is None else [things, _table_around(T_cam_table, low, high)]
+        near = collision.Cloud(np.concatenate([_between(part, low, high) for part in scene]))
         its = counted[mine]
         collided[mine] = near.hit_by(its, gripper.GRASPNET)
         empty[mine] = near.count_between(its, gripper.GRASPNET) < LEAST_BETWEEN
-        friction[mine] = obj.mesh.friction_scores(its.transformed(T.inverse()))
-    friction[collided | empty] = force_closure.NO_CLOSURE
+        mesh = obj.sdf if contacts == "sdf" else obj.mesh
+        free = mine[~(collided | empty)[mine]]
+        friction[free] = mesh.friction_scores(counted[free].transformed(T.inverse()))
     return Judged(counted, collided, empty, friction)
 
 
@@ -148,11 +163,24 @@ def _counted(
     return best
 
 
-def _table() -> Floats:
-    """Points of the table: 1 m x 1 m x 5 cm, 8 mm apart, its top at z = 0."""
-    side = np.linspace(-0.5, 0.5, 125)
-    grid = np.meshgrid(side, side, np.linspace(-0.05, 0, 6), indexing="ij")
-    return np.stack(grid, axis=-1).reshape(-1, 3)
+def _between(points: Floats, low: Floats, high: Floats) -> Floats:
+    for axis in range(3):
+        along = points[:, axis]
+        points = points[(along > low[axis]) & (along < high[axis])]
+    return points
+
+
+# Places of the points of the table: 1 m x 1 m x 5 cm, 8 mm apart, its top at z = 0.
+_TABLE = np.linspace(-0.5, 0.5, 125), np.linspace(-0.5, 0.5, 125), np.linspace(-0.05, 0, 6)
+
+
+def _table_around(T_cam_table: SE3, low: Floats, high: Floats) -> Floats:
+    """Points of the table, at least those within a box of the camera's frame."""
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
+    reach = T_cam_table.inverse() @ corners
+    ends = reach.min(axis=0), reach.max(axis=0)
+    places = [p[(p > a) & (p < b)] for p, a, b in zip(_TABLE, *ends, strict=True)]
+    return T_cam_table @ np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def precision_at(

@@ -23,6 +23,8 @@ CSV, MARKDOWN, LATEX = "grasping.csv", "grasping.md", "grasping.tex"
 # Pictures per run on the page: one for each outcome of attempts.
 _MOST_STRIPS = 6
 
+_SIGNIFICANT = 0.05
+
 _RUN = ("camera", "seed", "planner", "depth")
 _COUNTS = ("rounds", "objects", "attempts", "grasped")
 _SHARES = (
@@ -201,7 +203,7 @@ def strip_name(index: int, attempt: int) -> str:
 
 
 def _answer(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
-    """Gain in completion per table of each depth over raw depth."""
+    """Gain in completion and success per table of each depth over raw depth."""
     found = []
     for result in results:
         camera, seed, planner, depth = result.name
@@ -209,37 +211,45 @@ def _answer(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
         if raw is None or depth == RAW or planner == ORACLE:
             continue
         gain = grasp_results.completion_gain(result.table, raw.table)
-        if not gain.total:
+        if not gain.rate.total:
             continue
         what = "True depth" if depth == TRUE else f"Depth by {depth}"
+        parts = [
+            f"{material} ones {points(part)}"
+            for material in sorted(result.rates.completion_of)
+            if (part := grasp_results.completion_gain(result.table, raw.table, material=material))
+            and part.rate.total
+        ]
+        success = grasp_results.success_gain(result.table, raw.table)
         found.append(
             page.Paragraph(
                 f"{what} with {planner}: {points(gain)} of a table's objects removed than with raw "
-                f"depth, over the same {gain.total} tables "
+                f"depth, over the same {gain.rate.total} tables "
                 f"({grasp_results.share(result.rates.completion_tables)} % against "
-                f"{grasp_results.share(raw.rates.completion_tables)} %); {verdict(gain)}."
+                f"{grasp_results.share(raw.rates.completion_tables)} %; {'; '.join(parts)}); "
+                f"{verdict(gain)}. Attempts that succeeded: {points(success)}."
             )
         )
     return [page.Bullets(found)] if found else []
 
 
-def points(gain: grasp_results.Rate) -> str:
+def points(gain: grasp_results.Gain) -> str:
     """Format a difference of fractions in percentage points.
 
-    >>> from benchmark.evaluation.tasks.grasp_results import Rate
-    >>> points(Rate(0.25, 0.1, 0.4, 2, 8))
-    '25.0 points [10.0, 40.0] more'
+    >>> from benchmark.evaluation.tasks.grasp_results import Gain, Rate
+    >>> points(Gain(Rate(0.25, 0.1, 0.4, 2, 8), 0.0123))
+    '25.0 points [10.0, 40.0] more (p = 0.012)'
     """
-    word = "more" if gain.value >= 0 else "fewer"
-    return (
-        f"{100 * abs(gain.value):.1f} points [{100 * gain.low:.1f}, {100 * gain.high:.1f}] {word}"
-    )
+    rate = gain.rate
+    word = "more" if rate.value >= 0 else "fewer"
+    interval = f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+    return f"{100 * abs(rate.value):.1f} points {interval} {word} (p = {gain.p:.2g})"
 
 
-def verdict(gain: grasp_results.Rate) -> str:
-    """Return the conclusion that an interval supports."""
-    if math.isnan(gain.low):
+def verdict(gain: grasp_results.Gain) -> str:
+    """Return the conclusion that the paired test and the interval support."""
+    if math.isnan(gain.rate.low):
         return "one table is too few to say"
-    if gain.low > 0:
-        return "it helps"
-    return "it harms" if gain.high < 0 else "not statistically significant"
+    if gain.p >= _SIGNIFICANT:
+        return "not statistically significant"
+    return "it helps" if gain.rate.value > 0 else "it harms"

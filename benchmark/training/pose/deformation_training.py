@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from benchmark.methods.pose.deformation import Deformed
 from benchmark.training.pose import deformation_loss
+from benchmark.training.pose.restored_points import restored_depth
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, model_input
 from benchmark.training.validation import Context, Validator
 
@@ -114,7 +115,10 @@ def _objects(
     network: nn.Module, inputs: ModelInput, *, one_each: bool
 ) -> deformation_loss.Objects | None:
     config = _config(network)
-    depth = inputs.depth[:, 0] if config.trained_on == "raw" else inputs.batch["true"]
+    if config.trained_on == "restored":
+        depth = restored_depth(inputs, config.restorer, config.restorer_weights)
+    else:
+        depth = inputs.depth[:, 0] if config.trained_on == "raw" else inputs.batch["true"]
     return deformation_loss.objects_of(
         inputs.color,
         depth,

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from benchmark.data.splits import get_split
-from benchmark.methods.registry import restorers
+from benchmark.methods.registry import pose_methods, restorers
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.published.load import published_rows, published_table
 from benchmark.recipes import recipe as recipe_module
@@ -21,6 +21,8 @@ from benchmark.recipes.recipe import (
     recipe_names,
     scales,
 )
+from benchmark.recipes.recipe_poses import published_poses
+from benchmark.recipes.recipe_table import printed_rows
 from benchmark.recipes.targets import find_targets
 from sensors.simulation.options import SimulationOptions
 from std_toolkit.errors import ToolkitError
@@ -39,7 +41,8 @@ set = "test"
 def test_every_experiment_of_depth_restoration_is_a_recipe() -> None:
     rows = published_rows()
     tables = set(rows.loc[rows["task"] == "depth_restoration", "table"])
-    assert {load_recipe(name)[1].table for name in recipe_names()} == tables
+    named = {load_recipe(name)[1].table for name in recipe_names()}
+    assert named - {""} == tables
     assert recipe_names()[0] == "main-comparison"
 
 
@@ -48,7 +51,7 @@ def test_a_recipe_covers_its_table(name: str) -> None:
     """All data sets of the table are tests; all printed rows are there, and are variants but for
     one that was trained on data that nobody has."""
     recipe = load_recipe(name)[1]
-    table = published_table(recipe.table)
+    table = printed_rows(recipe)
     assert set(table["dataset"]) <= {target.dataset for target in find_targets(recipe, [])}
     printed = set(table[["method", "training_data"]].itertuples(index=False, name=None))
     ours = {
@@ -66,6 +69,17 @@ def test_a_recipe_covers_its_table(name: str) -> None:
         get_split(told.split or test)
     methods = [v.method for v in recipe.variants.values()] + recipe.baselines
     assert set(methods) <= set(restorers.names())
+    assert {p.method for p in recipe.poses.values()} <= set(pose_methods.names())
+    poses = published_poses(recipe.pose_table)
+    if recipe.pose_table:
+        ours = {p.published.method for p in recipe.poses.values() if p.published}
+        assert ours == set(poses["method"]) and poses["iou50"].between(0, 1).all()
+
+
+def test_every_table_of_poses_is_a_recipe() -> None:
+    rows = published_rows()
+    tables = set(rows.loc[rows["task"] == "category_pose", "table"])
+    assert {load_recipe(name)[1].pose_table for name in recipe_names()} - {""} == tables
 
 
 def test_the_folder_at_the_top_is_the_installed_one() -> None:
@@ -112,6 +126,11 @@ def test_what_a_method_does_not_say_is_that_of_the_scale() -> None:
         ('title = "Mine"', 'title = "Mine"\nprotocols = []', "protocols: needs at least one"),
         ('title = "Mine"', 'title = "Mine"\n[sets.a]\nlike="b"\noptions={}', r"sets\.a\.like"),
         ('title = "Mine"', 'title = "Mine"\n[sets.test]\nlike="test"\noptions={}', "scale has"),
+        (
+            'title = "Mine"',
+            'title = "Mine"\n[poses.a]\ntitle="A"\nmethod="nocs"\ndepth="two"',
+            r"poses\.a\.depth: no such depth .*raw, gt, one",
+        ),
     ],
 )
 def test_a_wrong_recipe_is_told_in_one_line(old: str, new: str, told: str, tmp_path: Path) -> None:

@@ -46,7 +46,8 @@ def test_variants_share_what_they_can(tmp_path):
                 labels.setdefault(entry.label, set()).add((entry.folder, str(entry.training)))
     assert all(len(same) == 1 for same in labels.values())
     assert "swindrnet.train" in labels
-    assert len(labels) == 8  # three methods, cut, two ablations, fixed materials, half
+    # Three methods, cut, two ablations, fixed materials, half, and five factors.
+    assert len(labels) == 13
 
 
 def test_half_the_data_are_the_same_pack(tmp_path):

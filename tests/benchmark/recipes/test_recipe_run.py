@@ -16,7 +16,7 @@ import torch
 from recipe_data import write_set, write_std
 
 from benchmark.cli.train import main
-from benchmark.recipes.recipe_page import CSV, MARKDOWN, PAGE
+from benchmark.recipes.recipe_page import CSV, MARKDOWN, PAGE, POSES_CSV
 from benchmark.recipes.recipe_table import ABSENT, COLUMNS, MEASURED, PUBLISHED
 
 pytestmark = pytest.mark.slow
@@ -248,3 +248,41 @@ def test_damaged_frames_are_told_and_left_out(own, tmp_path, capsys):
     assert re.search(r"error: pack train-\w+\.32x32, 00001/0001: .*simDepthImage", error)
     rows = pd.read_csv(tmp_path / "out" / "tiny" / "sim-to-real" / CSV)
     assert rows["rmse"].notna().any()
+
+
+POSES = """
+title = "Poses"
+[variants.filled]
+title = "DFNet"
+method = "dfnet"
+[poses.raw]
+title = "Head, raw depth"
+method = "swindrnet-nocs"
+[poses.filled]
+title = "Head, DFNet's depth"
+method = "swindrnet-nocs"
+depth = "filled"
+[tests.dreds-catknown-test]
+set = "test"
+"""
+
+
+def test_poses_rest_on_the_depth_of_a_variant(tmp_path: Path, own: list[str]) -> None:
+    recipe = tmp_path / "poses.toml"
+    recipe.write_text(POSES)
+    out = tmp_path / "out"
+    words = ["recipe", str(recipe), "--scale", "tiny", "--out", str(out), *own[:4], *HERE]
+    assert main(words) == 0
+    rows = pd.read_csv(out / "tiny" / "poses" / POSES_CSV)
+    assert set(rows["kind"]) == {MEASURED}
+    assert set(rows["variant"]) == {"Head, raw depth", "Head, DFNet's depth"}
+    # One training for both, and frames with coordinates.
+    trained = sorted(p.name.partition(".")[0] for p in (out / "tiny" / "training").iterdir())
+    assert trained == ["dfnet", "swindrnet-nocs"]
+    assert any(".nocs." in p.name for p in (out / "tiny" / "packs").iterdir())
+    assert "Poses, DREDS-CatKnown" in (out / "tiny" / "poses" / MARKDOWN).read_text()
+    assert "Poses, DREDS-CatKnown" in (out / "tiny" / "poses" / PAGE).read_text()
+    # The same command again trains nothing and writes the same.
+    before = (out / "tiny" / "poses" / POSES_CSV).read_bytes()
+    assert main(words) == 0
+    assert (out / "tiny" / "poses" / POSES_CSV).read_bytes() == before

@@ -1,8 +1,11 @@
 """`std-bench --task grasp`: refused input, resumed and parallel runs, the report."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
+import trimesh
 
 from benchmark.cli.bench import main
 from benchmark.cli.report import main as report
@@ -23,6 +26,10 @@ GRASP = ["--task", "grasp", "--depth", "gt"]
         (["--planner", "antipodal", "antipodal"], "twice", 2),
         (["--planner", "oracle", "--weights", "swindrnet=x.safetensors"], "weights", 1),
         (["--iou", "aabb"], "not an option of std-bench grasp", 2),
+        (["--meshes", "nowhere"], "folder of assets is not there", 1),
+        (["--meshes-unit", "mm"], "belongs to --meshes", 2),
+        (["--planner", "antipodal", "oracle", "--label", "mine"], "names one planner", 2),
+        (["--move", "slow"], "expected one of guarded, straight", 2),
     ],
 )
 def test_wrong_input_is_one_line(tmp_path, capsys, words, told, status):
@@ -71,3 +78,28 @@ def test_resumed_and_parallel_runs_give_the_same_bytes(tmp_path, capsys):
     objects = table[table["kind"] == "object"]
     assert board["objects"].tolist() == [len(objects)]
     assert board["grasped"].tolist() == [int((objects["fate"] == "grasped").sum())]
+
+
+@pytest.mark.slow
+def test_own_meshes_stand_on_the_tables(tmp_path, capsys):
+    """Boxes of known size in two categories; the planner has a name of its own."""
+    pytest.importorskip("mujoco")
+    pytest.importorskip("coacd")
+    meshes = tmp_path / "blocks"
+    for category, size in (("long", (30, 30, 90)), ("flat", (60, 60, 25))):
+        (meshes / category).mkdir(parents=True)
+        trimesh.creation.box(size).export(meshes / category / "block.ply")
+    words = [*GRASP, "--planner", "oracle", "--attempts", "1", "--rounds", "1", "--no-gallery"]
+    words += ["--meshes", str(meshes), "--meshes-unit", "mm", "--label", "best", "--json"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--engine", "serial"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["camera"], row["planner"]) == ("quick, blocks", "best")
+    folder = tmp_path / "out" / "grasp" / "quick-seed0-blocks" / "best" / "gt"
+    table = pd.read_parquet(folder / ATTEMPTS)
+    things = table[table["kind"] == "object"]
+    assert set(things["category"]) <= {"long", "flat"} and len(things) in (4, 5)
+    sizes = {
+        "long": np.linalg.norm([0.03, 0.03, 0.09]),
+        "flat": np.linalg.norm([0.06, 0.06, 0.025]),
+    }
+    np.testing.assert_allclose(things["diagonal_m"], [sizes[c] for c in things["category"]])

@@ -97,3 +97,21 @@ def test_a_hand_that_starts_in_the_table_does_not_move():
     done = _try(from_above((0, 0.15, -0.2)))
     assert done.outcome == "start-hits-table"
     assert len(done.stages) == 1
+
+
+def test_a_guarded_move_holds_what_stopped_the_palm():
+    # The palm meets the top of the tower, whose sides the fingers have passed: they close 6 mm
+    # higher. A straight move ends there.
+    tall = box((0.03, 0.03, 0.12), "tower")
+    grasp = from_above((0, 0, 0.06))
+    assert _try(grasp, things=(tall,)).outcome == "held"
+    straight = execute([tall], [standing(tall)], grasp, masses_kg=[0.15], guarded=False)
+    assert straight.outcome == "blocked-by-object"
+    assert [s.name for s in straight.stages] == ["pre-grasp", "stopped"]
+
+
+def test_a_guarded_move_stops_at_a_light_touch():
+    # Both fingers land on the top of a cube; it is not pressed into the table, and stays.
+    done = _try(from_above((0, 0, 0.015), width=0.03))
+    assert done.outcome == "blocked-by-object"
+    assert np.allclose(done.poses[0].t, standing(CUBE).t, atol=1e-3)

@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from benchmark.evaluation.results import INDEX
-from benchmark.evaluation.tasks.grasp_results import completion_gain, rates_of
+from benchmark.evaluation.tasks.grasp_results import completion_gain, rates_of, success_gain
 from benchmark.evaluation.tasks.grasp_table import (
     ATTEMPT,
     GRASPED,
@@ -94,5 +94,8 @@ def test_a_gain_is_that_of_the_same_tables():
         ]
     )
     gain = completion_gain(better, worse)
-    assert gain.value == pytest.approx((0.5 + 0) / 2)
-    assert gain.total == 2
+    assert gain.rate.value == pytest.approx((0.5 + 0) / 2)
+    assert gain.rate.total == 2 and gain.p == 1.0
+    glass = completion_gain(better, worse, material="transparent")
+    assert glass.rate.value == pytest.approx(0.5) and glass.rate.total == 1
+    assert success_gain(better, worse).rate.value == 0

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
-from benchmark.evaluation.tasks.grasp_results import Rate
+from benchmark.evaluation.tasks.grasp_results import Gain, Rate
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, GRASPED, LEFT
 from benchmark.report.page import render_page
 from benchmark.report.parts.grasp import grasp_part, points, printed_rows, verdict
@@ -41,7 +41,10 @@ def test_the_gain_over_raw_depth_is_told_with_its_interval(tmp_path):
     part = grasp_part([tmp_path])
     ((sentence,),) = (block.items for block in part.answer)
     assert "True depth with antipodal: 75.0 points [25.0, 100.0] more" in sentence.text
-    assert "it helps" in sentence.text
+    # Three of four tables gain: swapping the depths of tables does as well in 2 of 8 cases.
+    assert "more (p = 0.25)" in sentence.text and "transparent ones 75.0 points" in sentence.text
+    assert "not statistically significant" in sentence.text
+    assert "Attempts that succeeded: 75.0 points" in sentence.text
     # Headings, a rule, two measured rows, two published ones.
     assert part.files["grasping.md"].count("\n|") == 2 + 2 + 2
     assert "19 / 49" in part.files["grasping.tex"]
@@ -69,8 +72,9 @@ def test_a_folder_without_a_finished_run_is_refused(tmp_path):
 
 def test_an_interval_decides_what_may_be_said():
     nan = float("nan")
-    assert verdict(Rate(0.3, 0.1, 0.5, 3, 10)) == "it helps"
-    assert verdict(Rate(-0.3, -0.5, -0.1, 3, 10)) == "it harms"
-    assert verdict(Rate(0.1, -0.1, 0.3, 3, 10)) == "not statistically significant"
-    assert verdict(Rate(0.1, nan, nan, 1, 1)) == "one table is too few to say"
-    assert points(Rate(-0.05, -0.2, 0.1, 0, 4)) == "5.0 points [-20.0, 10.0] fewer"
+    assert verdict(Gain(Rate(0.3, 0.1, 0.5, 3, 10), 0.01)) == "it helps"
+    assert verdict(Gain(Rate(-0.3, -0.5, -0.1, 3, 10), 0.01)) == "it harms"
+    assert verdict(Gain(Rate(0.1, -0.1, 0.3, 3, 10), 0.3)) == "not statistically significant"
+    assert verdict(Gain(Rate(0.1, nan, nan, 1, 1), 1.0)) == "one table is too few to say"
+    told = points(Gain(Rate(-0.05, -0.2, 0.1, 0, 4), 0.5))
+    assert told == "5.0 points [-20.0, 10.0] fewer (p = 0.5)"

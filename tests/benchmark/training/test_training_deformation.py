@@ -12,6 +12,7 @@ from benchmark.methods.registry import MethodOptions, configured, make_pose_meth
 from benchmark.methods.weights import save_weights
 from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.catalogue import get_trainable
+from benchmark.training.pose import deformation_training
 from benchmark.training.pose.deformation_loss import (
     DeformationLoss,
     ObjectTruth,
@@ -306,3 +307,26 @@ def test_a_network_that_knows_its_frame_finds_its_poses(method, rate, priors, tm
         sides = scale * prediction.sizes[k]
         assert np.abs(sides / (true_scale * 2 * box.half) - 1).max() < 0.35
         assert (alone.masks[k] == (view.truth.mask == k + 1)).all()
+
+
+@pytest.mark.slow
+def test_points_may_come_from_restored_depth(priors, tmp_path):
+    """Half of the sensor's depth is missing; the restorer fills it, so objects keep all points."""
+    source = tmp_path / "flat.py"
+    source.write_text(
+        "import numpy as np\n"
+        "from benchmark.methods.protocol import Restored\n"
+        "class Flat:\n"
+        "    input_size, needs_mask = (48, 36), False\n"
+        "    def __init__(self, options): pass\n"
+        "    def restore(self, views):\n"
+        "        return [Restored(np.full(v.depth.shape, 0.75, np.float32),\n"
+        "                         np.zeros(v.depth.shape, np.float32)) for v in views]\n"
+    )
+    batch = batch_of([view_of_boxes(boxes_of(seed)) for seed in (1, 2)])
+    batch["raw"][:, ::2] = 0
+    network = network_of("sgpa", priors, trained_on="restored", restorer=f"{source}:Flat")
+    found = deformation_training._objects(network, model_input(batch), one_each=True)
+    assert (found.crop.points[..., 2] - 0.75).abs().max() < 1e-6
+    loss = deformation_step(network, get_trainable("sgpa").loss, model_input(batch), StepInfo())
+    assert torch.isfinite(loss.total) and loss.parts["objects"] == 2

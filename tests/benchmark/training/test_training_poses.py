@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from training_set import HERE, SIDE, packed, same, trained, wishes, write_scenes
 
 from benchmark.cli.train import main
+from benchmark.methods import registry
 from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.export import bench_command
@@ -190,3 +193,29 @@ def test_loose_and_known_pixels_do_not_depend_on_the_order_of_frames(pack):
         with torch.no_grad():
             totals.append(float(trainable.step(network, trainable.loss, seen, StepInfo()).total))
     assert np.isclose(*totals, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["swindrnet-nocs", "spd"])
+def test_small_networks_are_trained_and_shipped(
+    method: str, pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two steps; half-precision weights in the toolkit's folder are then used by default."""
+    run = tmp_path / "run"
+    words = ["--method", method, "--preset", "small", "--data", str(pack), "--out", str(run)]
+    words += ["--steps", "2", "--batch-size", "2", "--hold-out", "0.3", "--readers", "0"]
+    words += ["--accelerator", "cpu", "--set", f"input_size={SIDE},{SIDE}"]
+    assert main(words) == 0
+    state = {k: t.half() for k, t in load_file(run / "best.safetensors").items()}
+    file = tmp_path / f"{method}-small.safetensors"
+    save_file(state, file)
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    file.with_name(f"{file.name}.sha256").write_text(f"{digest}  {file.name}\n")
+    # Two such files must fit into 10 MB.
+    assert file.stat().st_size < 5_500_000
+    settings = {"masks": "true"} if method == "spd" else {}
+    monkeypatch.setattr(registry, "SHIPPED", tmp_path)
+    preset = registry.preset_for(method, None, None)
+    assert preset == "small"
+    made = make_pose_method(method, MethodOptions(preset=preset, settings=settings))
+    assert made.input_size is not None

@@ -60,18 +60,23 @@ class SwinDRNet(NetworkRestorer):
         self.config, network = _network(options)
         device = torch_device(options.device)
         plain = not options.compile and options.precision == "fp32"
+        used = FastSwinDRNetwork(network) if plain and device.type == "cpu" else network
+        width, height = self.config.input_size
         super().__init__(
-            FastSwinDRNetwork(network) if plain and device.type == "cpu" else network,
+            self._wrapped(used),
             options,
-            self.config.input_size,
+            (2 * width, height) if self.config.interleaved else (width, height),
         )
 
     def skeleton(self) -> nn.Module:
         with torch.device("meta"):
-            return swindrnet_network.SwinDRNetwork(self.config).eval()
+            return self._wrapped(swindrnet_network.SwinDRNetwork(self.config)).eval()
 
     def plain_network(self) -> nn.Module:
-        return _network(self._options)[1].eval().requires_grad_(False)
+        return self._wrapped(_network(self._options)[1]).eval().requires_grad_(False)
+
+    def _wrapped(self, network: nn.Module) -> nn.Module:
+        return Interleaved(network) if self.config.interleaved else network
 
 
 def _network(
@@ -80,6 +85,35 @@ def _network(
     return network_of(
         "swindrnet", swindrnet_network.PRESETS, swindrnet_network.SwinDRNetwork, options
     )
+
+
+class Interleaved(nn.Module):
+    """Restores the even and the odd columns of images as images of half the width.
+
+    Args:
+        network: called with colour and depth, as of `NetworkRestorer`.
+    """
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.halves = network
+
+    def forward(self, color: Tensor, depth: Tensor) -> Prediction:
+        """Images (b, c, h, w) of an even width."""
+        found = self.halves(*(_columns_apart(images) for images in (color, depth)))
+        depth, *others = found
+        rest = (None if part is None else _columns_together(part) for part in others)
+        return Prediction(_columns_together(depth), *rest)
+
+
+def _columns_apart(images: Tensor) -> Tensor:
+    """(b, c, h, w) as (2 b, c, h, w / 2): the even columns of all, then the odd ones."""
+    return torch.cat([images[..., 0::2], images[..., 1::2]])
+
+
+def _columns_together(halves: Tensor) -> Tensor:
+    """The inverse of `_columns_apart`."""
+    return torch.stack(halves.chunk(2), dim=-1).flatten(-2)
 
 
 class FastSwinDRNetwork(nn.Module):

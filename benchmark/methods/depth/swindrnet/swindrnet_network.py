@@ -156,6 +156,9 @@ class SwinDRNetConfig:
             objects at 224x224.
         drop_path, dropout: chances in training to leave a block, and a channel, out.
         input_size: (width, height) of the images.
+        interleaved: whether the restorer takes images of twice the width, restores their even and
+            their odd columns one by one and puts them together again: 448x224, as the paper
+            prepares depth for SGPA.
     """
 
     fusion: Literal["released", "paper", "none"] = "released"
@@ -173,6 +176,7 @@ class SwinDRNetConfig:
     drop_path: float = 0.2
     dropout: float = 0.1
     input_size: tuple[int, int] = (224, 224)
+    interleaved: bool = False
 
     @property
     def level_channels(self) -> tuple[int, ...]:

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.methods.grasp.antipodal import contact_pairs
-from benchmark.methods.grasp.antipodal.hands import Obstacles, filled_pads, hands_at, obstacles_of
+from benchmark.methods.grasp.antipodal.hands import (
+    Obstacles,
+    filled_pads,
+    hands_at,
+    obstacles_of,
+    unknown_share,
+)
 from benchmark.methods.grasp.antipodal.surface import find_table, surface_of
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions, configured
@@ -33,6 +39,10 @@ class AntipodalSettings:
         pairs: largest number of pairs of contacts that hands are fitted to.
         grasps: largest number of grasps that are given back.
         least_height: metres above the table from which on a point belongs to an object.
+        least_top: metres that an object is high, at the least.
+        least_area: square metres of an object that the camera sees, at the least.
+        unknown: what a grasp loses whose fingers are all where the depth has holes; 0 takes holes
+            for free space.
         table_room: metres that the hand stays above the table.
         room: metres that each open finger stays away from what it is to grasp; half of it where
             there is no more.
@@ -45,6 +55,9 @@ class AntipodalSettings:
     pairs: int = 600
     grasps: int = 50
     least_height: float = 0.006
+    least_top: float = 0.01
+    least_area: float = 3e-4
+    unknown: float = 1.0
     table_room: float = 0.003
     room: float = 0.012
 
@@ -62,6 +75,9 @@ class AntipodalSettings:
             ("pairs", 1, 20_000),
             ("grasps", 1, 10_000),
             ("least_height", 0.0, 0.1),
+            ("least_top", 0.0, 0.1),
+            ("least_area", 0.0, 0.1),
+            ("unknown", 0.0, 100.0),
             ("table_room", 0.0, 0.1),
             ("room", 0.001, 0.05),
         ):
@@ -80,7 +96,8 @@ class Antipodal:
 
     Pairs of seen points whose normals look away from each other within the friction cones are
     held by a hand that comes from above, where it hits neither what is seen, nor what must lie
-    beneath that, nor the table.
+    beneath that, nor the table. Space that the camera cannot judge, because there is no depth,
+    counts against a hand.
 
     Args:
         options: settings as in `AntipodalSettings`.
@@ -106,7 +123,13 @@ class Antipodal:
     def _plan_on_table(self, view: GraspView, T_cam_table: SE3, rng: np.random.Generator) -> Grasps:
         s = self.settings
         surface = surface_of(
-            view, T_cam_table, least_height=s.least_height, count=s.points, rng=rng
+            view,
+            T_cam_table,
+            least_height=s.least_height,
+            least_top=s.least_top,
+            least_area=s.least_area,
+            count=s.points,
+            rng=rng,
         )
         points, normals = surface.points, surface.normals
         places, faces, trust = contact_pairs.with_edges(
@@ -135,6 +158,9 @@ class Antipodal:
             - 0.5 * (1 + grasps.approaches[:, 2])
             + 2 * filled_pads(grasps, obstacles, self.gripper)
         )
+        if s.unknown:
+            seen = grasps.transformed(T_cam_table)
+            score -= s.unknown * unknown_share(seen, self.gripper, view.depth, view.camera)
         kept = suppress_similar(grasps.replaced(scores=score), swapped_fingers=True)
         return kept.top(s.grasps)
 

@@ -15,6 +15,7 @@ from benchmark.methods.grasp.antipodal.contact_pairs import Pairs
 from benchmark.metrics.grasp.collision import Cloud, hits_plane, voxel_means
 from benchmark.metrics.grasp.grasp import Grasps
 from benchmark.metrics.grasp.gripper import Boxes, Gripper
+from std_toolkit.geometry.camera import Camera
 
 FINE_M, COARSE_M = 0.004, 0.01
 
@@ -23,6 +24,9 @@ _CONNECTED_M = 0.012
 
 # Cells of about 5 mm on a fingertip, along and across.
 _PAD_CELLS = 3
+
+# Cells of each box of a finger, along each side, at whose middles depth is looked up.
+_CELLS = 4
 
 Floats = NDArray[np.float64]
 
@@ -114,6 +118,41 @@ def filled_pads(grasps: Grasps, obstacles: Obstacles, gripper: Gripper) -> Float
             cell = Boxes(low[:, None].copy(), high[:, None].copy())
             share += cloud.count_inside(grasps, cell)[:, 0] > 0
     return share / _PAD_CELLS**2
+
+
+def unknown_share(
+    grasps: Grasps, gripper: Gripper, depth: NDArray[np.float32], camera: Camera
+) -> Floats:
+    """(N,) share of the open fingers' volume that the camera sees through pixels without depth.
+
+    What is there is not known: glass and steel leave such holes. What is beyond the image is
+    unknown as well.
+
+    Args:
+        grasps: in the camera's frame.
+        gripper: the hand.
+        depth: (h, w) metres, 0 where nothing is known.
+        camera: of the depth.
+    """
+    if not len(grasps):
+        return np.zeros(0)
+    boxes = gripper.boxes(grasps.widths, grasps.depths)
+    boxes = Boxes(boxes.low[:, :-1], boxes.high[:, :-1])  # the palm comes last
+    steps = (np.arange(_CELLS) + 0.5) / _CELLS
+    cells = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = boxes.high - boxes.low
+    local = boxes.low[:, :, None] + cells * size[:, :, None]
+    points = np.einsum("nij,nbcj->nbci", grasps.rotations, local)
+    points += grasps.translations[:, None, None]
+    ahead = points[..., 2] > 0
+    z = np.where(ahead, points[..., 2], 1.0)
+    u = np.rint(camera.fx * points[..., 0] / z + camera.cx)
+    v = np.rint(camera.fy * points[..., 1] / z + camera.cy)
+    there = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    row, column = np.where(there, v, 0).astype(np.int64), np.where(there, u, 0).astype(np.int64)
+    known = there & (depth[row, column] > 0)
+    weight = size.prod(axis=-1)
+    return np.asarray(((~known).mean(axis=2) * weight).sum(axis=1) / weight.sum(axis=1))
 
 
 def _columns(points: Floats) -> Floats:

@@ -36,6 +36,9 @@ _STEP_M = 0.02
 # The neighbours of a place at an edge have their middle this far to one side at least.
 _ONE_SIDED_M = 0.0015
 
+# Share of a piece that must be as high as a thing.
+_HIGH_SHARE = 0.05
+
 _POINTS = 20_000
 
 _DISTANCE_M = 0.005
@@ -55,7 +58,7 @@ class Surface:
         at_edge: (C,) bool what lies beside the place in the image lies far behind it.
         outwards: (C, 3) unit vectors along the surface, away from where it goes on: out over the
             edge, for places at one; 0 where the surface goes on all around.
-        obstacles: (P, 3) all points above the table.
+        obstacles: (P, 3) all points of things above the table.
         eye: (3,) the camera.
     """
 
@@ -68,7 +71,14 @@ class Surface:
 
 
 def surface_of(
-    view: GraspView, T_cam_table: SE3, *, least_height: float, count: int, rng: np.random.Generator
+    view: GraspView,
+    T_cam_table: SE3,
+    *,
+    least_height: float,
+    least_top: float,
+    least_area: float,
+    count: int,
+    rng: np.random.Generator,
 ) -> Surface:
     """What stands on the table.
 
@@ -76,6 +86,7 @@ def surface_of(
         view: of which the pixels of the mask, or all, are looked at.
         T_cam_table: the table.
         least_height: metres above the table.
+        least_top, least_area: see `things`.
         count: largest number of contacts.
         rng: thins them out.
     """
@@ -84,6 +95,8 @@ def surface_of(
     depth = np.where(known, view.depth, 0)
     places = T @ unproject_depth(depth, view.camera)
     above = known & (places[..., 2] > least_height) & (places[..., 2] < _HIGHEST_M)
+    area = depth.astype(np.float64) ** 2 / (view.camera.fx * view.camera.fy)
+    above = things(above, places[..., 2], area, least_top=least_top, least_area=least_area)
     graspable = above if view.mask is None else above & view.mask
     # In pixels, about half the radius of the normals.
     focal = (view.camera.fx + view.camera.fy) / 2
@@ -100,6 +113,41 @@ def surface_of(
         points[good], normals[good], at_edge[good], _outwards(normals, ahead)[good],
         places[solid], T.t,
     )  # fmt: skip
+
+
+def things(
+    above: NDArray[np.bool_],
+    height: Floats,
+    area: Floats,
+    *,
+    least_top: float,
+    least_area: float,
+) -> NDArray[np.bool_]:
+    """Pixels of pieces that are large and high enough to be an object.
+
+    Depth that was measured or restored badly has low bumps and specks on the bare table.
+
+    Args:
+        above: (h, w) pixels above the table; neighbours, also diagonal ones, make a piece.
+        height: (h, w) metres above the table.
+        area: (h, w) square metres that a pixel covers, seen from the camera.
+        least_top: metres; the highest twentieth of a piece lies above it.
+        least_area: square metres of a piece.
+
+    Returns:
+        (h, w) bool.
+
+    >>> above = np.array([[1, 1, 0, 1], [1, 1, 0, 0]], bool)
+    >>> things(above, 0.02 * above, 1e-4 * above, least_top=0.01, least_area=2e-4).astype(int)
+    array([[1, 1, 0, 0],
+           [1, 1, 0, 0]])
+    """
+    count, pieces = cv2.connectedComponents(above.astype(np.uint8), connectivity=8)
+    kept = np.bincount(pieces.ravel(), weights=area.ravel(), minlength=count) >= least_area
+    high = np.bincount(pieces.ravel(), weights=(height > least_top).ravel(), minlength=count)
+    kept &= high >= _HIGH_SHARE * np.bincount(pieces.ravel(), minlength=count)
+    kept[0] = False
+    return np.asarray(kept[pieces])
 
 
 def _thinned(

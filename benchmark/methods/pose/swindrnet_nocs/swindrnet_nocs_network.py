@@ -6,7 +6,7 @@ Fuses colour and point features as in the published network.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import torch
@@ -90,17 +90,20 @@ class SwinNOCSConfig(FitSettings):
         return tuple(copies * channels for channels in self.level_channels)
 
 
+_COMPACT = SwinNOCSConfig(
+    fusion="paper",
+    channels=32,
+    heads=(1, 2, 4, 8),
+    head_channels=96,
+    details=True,
+    drop_path=0.1,
+    input_size=COMPACT_SIZE,
+)
+
 PRESETS = {
     "published": SwinNOCSConfig(),
-    "compact": SwinNOCSConfig(
-        fusion="paper",
-        channels=32,
-        heads=(1, 2, 4, 8),
-        head_channels=96,
-        details=True,
-        drop_path=0.1,
-        input_size=COMPACT_SIZE,
-    ),
+    "compact": _COMPACT,
+    "small": replace(_COMPACT, channels=16, head_channels=32, drop_path=0.0, dropout=0.0),
 }
 
 

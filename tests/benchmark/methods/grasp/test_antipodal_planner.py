@@ -11,6 +11,7 @@ from benchmark.methods.grasp.antipodal.contact_pairs import (
     best_spread,
     round_pairs,
 )
+from benchmark.methods.grasp.antipodal.hands import unknown_share
 from benchmark.methods.grasp.antipodal.surface import find_table
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions, grasp_planners, make_planner
@@ -231,3 +232,35 @@ def test_planners_are_known_by_name() -> None:
             make_planner("antipodal", MethodOptions(settings=settings))
     with pytest.raises(ToolkitError, match="cannot be made"):
         make_planner("builtins:dict", None)
+
+
+def test_low_bumps_and_specks_are_no_objects() -> None:
+    """8 mm is more than `least_height`, but no object; a tall stick covers too few pixels."""
+    bump = upright(trimesh.creation.box((0.06, 0.06, 0.008)), 0.1, 0.0)
+    stick = upright(trimesh.creation.box((0.004, 0.004, 0.03)), -0.1, 0.0)
+    view = view_of([bump, stick], masked=False)
+    assert len(Antipodal().plan(view)) == 0
+    tall = upright(trimesh.creation.box((0.05, 0.05, 0.05)), 0.0, 0.1)
+    grasps = Antipodal().plan(view_of([bump, stick, tall], masked=False))
+    tips = grasps.transformed(slanted()).tips
+    assert len(grasps) and (np.linalg.norm(tips[:, :2] - [0.0, 0.1], axis=1) < 0.06).all()
+
+
+def test_pixels_without_depth_are_unknown() -> None:
+    down = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    grasp = Grasps.make(down[None], [[0, 0, 0.05]], widths=0.06, depths=0.02)
+    seen = grasp.transformed(slanted().inverse())
+    depth = np.full((270, 480), 0.6, np.float32)
+    assert unknown_share(seen, PANDA, depth, CAMERA).tolist() == [0.0]
+    assert unknown_share(seen, PANDA, 0 * depth, CAMERA).tolist() == [1.0]
+    # The fingers are left and right of the middle: one of the two is behind the hole.
+    depth[:, :240] = 0
+    across = grasp.replaced(rotations=(down @ turned(90))[None]).transformed(slanted().inverse())
+    assert unknown_share(across, PANDA, depth, CAMERA)[0] == pytest.approx(0.5, abs=0.05)
+    assert len(unknown_share(Grasps.empty(), PANDA, depth, CAMERA)) == 0
+
+
+def turned(degrees: float) -> np.ndarray:
+    """A turn about the approach."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])

@@ -7,13 +7,15 @@ from itertools import permutations
 import numpy as np
 import pytest
 import torch
-from network_cases import CASES, views, weights_of
+from network_cases import CASES, SIDE, views, weights_of
 
 from benchmark.methods import registry
 from benchmark.methods.network import NetworkRestorer, parameter_count
+from benchmark.methods.protocol import View
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.methods.weights import load_weights, save_weights
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
 
 METHODS = sorted({case.method for case in CASES.values()})
 
@@ -146,3 +148,29 @@ def test_narrow_arithmetic_is_near(name, tmp_path):
         assert np.isfinite(one.depth).all()
         spread = max(np.ptp(other.depth), abs(other.depth).max())
         assert abs(one.depth - other.depth).max() < 0.1 * spread + 0.01
+
+
+def test_columns_are_restored_apart_and_put_together(tmp_path):
+    """448x224 in the paper: each of the two halves is an image of the network's own size."""
+    case = CASES["swindrnet-released"]
+    path = weights_of(case, tmp_path)
+    wide, plain = (
+        make_restorer("swindrnet", MethodOptions(weights=path, settings=case.settings | more))
+        for more in ({"interleaved": "true"}, {})
+    )
+    assert wide.input_size == (2 * SIDE, SIDE) and plain.input_size == (SIDE, SIDE)
+    rng = np.random.default_rng(0)
+    color = rng.integers(0, 255, (SIDE, 2 * SIDE, 3)).astype(np.uint8)
+    depth = rng.uniform(0.4, 0.9, (SIDE, 2 * SIDE)).astype(np.float32)
+    camera = Camera(2 * SIDE, SIDE, 100, 100, SIDE, SIDE / 2)
+    (whole,) = wide.restore([View(color, depth, camera)])
+    for first in (0, 1):
+        half = View(
+            np.ascontiguousarray(color[:, first::2]),
+            np.ascontiguousarray(depth[:, first::2]),
+            Camera(SIDE, SIDE, 50, 100, SIDE / 2, SIDE / 2),
+        )
+        (expected,) = plain.restore([half])
+        np.testing.assert_allclose(whole.depth[:, first::2], expected.depth, atol=1e-5)
+        np.testing.assert_allclose(whole.confidence[:, first::2], expected.confidence, atol=1e-5)
+    assert wide.macs(View(color, depth, camera)) == 2 * plain.macs(half)

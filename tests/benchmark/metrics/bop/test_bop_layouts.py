@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bop_set import BRICK, CAMERA, CAN, TRUTHS, write_bop
+from PIL import Image
 
 from benchmark.metrics.bop import (
     BopEstimate,
@@ -19,6 +20,7 @@ from benchmark.metrics.bop import (
 )
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.io.images import read_png
 
 ALL = [BopEstimate(2, i, n, 0.5, T) for i, rows in TRUTHS.items() for n, T in rows]
 NAMES = ("scene_gt", "scene_gt_info", "scene_camera")
@@ -145,3 +147,24 @@ def test_the_size_of_images_without_any(tmp_path: Path) -> None:
     camera = {"width": CAMERA.width, "height": CAMERA.height}
     (root / "camera.json").write_text(json.dumps(camera))
     assert score_bop(open_bop(root), ALL).mspd == 1
+
+
+@pytest.mark.parametrize("kind", ["uint16", "float32"])
+def test_depth_and_grey_in_tiff_files(tmp_path: Path, kind: str) -> None:
+    """ITODD: gray/*.tif and depth/*.tif; the same VSD as of PNG files."""
+    root = write_bop(tmp_path / "itodd")
+    folder = root / "test" / "000002"
+    (folder / "gray").mkdir()
+    for path in (folder / "depth").glob("*.png"):
+        values = read_png(path)
+        path.unlink()
+        Image.fromarray(values.astype(kind)).save(path.with_suffix(".tif"))
+        grey = Image.fromarray(np.zeros(values.shape, np.uint8))
+        grey.save(folder / "gray" / f"{path.stem}.tif")
+    assert score_bop(open_bop(root), ALL).ar == 1
+    assert open_bop(root).image(2, 4, depth=False).size == CAMERA.size
+    torn = folder / "depth" / "000004.tif"
+    torn.write_bytes(torn.read_bytes()[:200])
+    assert "not a readable TIFF" in open_bop(root).image(2, 4).why_no_depth
+    Image.fromarray(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)).save(torn)
+    assert "one channel" in open_bop(root).image(2, 4).why_no_depth
