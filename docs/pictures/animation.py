@@ -101,11 +101,11 @@ def label(work: Path, truth: Truth) -> None:
     film.take(LONG_MS)
     exact = truth.camera_pose(0).inverse() @ truth.object_pose(NAME)
     true_middle: NDArray[np.float64] = camera_of(c).project(exact @ c.session.centre(NAME))
-    hand.drop_mesh(NAME, true_middle + [120.0, 40.0])
+    hand.drop_mesh(NAME, true_middle + np.array([120.0, 40.0]))
     film.take(LONG_MS)
     film.step = "2  Drag it along the table; all views follow."
     start = hand.at(middle_of(c, NAME))
-    aim = hand.at(true_middle + [5.0, -3.0])
+    aim = hand.at(true_middle + np.array([5.0, -3.0]))
     hand.drag(start, QPoint(aim.x() - start.x(), aim.y() - start.y()), look=film.take)
     film.take(LONG_MS)
     film.step = "3  Turn it with Shift and the arrow keys."
