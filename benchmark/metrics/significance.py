@@ -12,23 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from benchmark.metrics.flips import flip_test, flip_tests, scene_sums
 from std_toolkit.errors import ToolkitError
 
 SAMPLES = 4000
 
 _DRAWN_AT_ONCE = 4_000_000  # counts in memory: 32 MB
-
-EXACT_SCENES = 14  # up to this number, all 2**scenes swaps of the methods are enumerated
-
-FLIPS = 20_000  # random swaps for more scenes
-
-_FLIPS_AT_ONCE = 1000  # a multiple of 8
 
 
 @dataclass(frozen=True)
@@ -80,56 +76,36 @@ def mean_interval(
     mean = np.asarray(sums.sum(axis=0) / counts.sum())
     if len(counts) < 2:
         return Interval(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
-    rng = np.random.default_rng(seed)
     flat = sums.reshape(len(counts), -1)
-    draws = _draws(rng, len(counts), samples)
+    draws = _draws(len(counts), samples, seed)
     drawn = np.concatenate([(w @ flat) / (w @ counts)[:, None] for w in draws])
     tail = (1 - level) / 2
     low, high = np.quantile(drawn, [tail, 1 - tail], axis=0).reshape(2, *mean.shape)
     return Interval(mean, low, high)
 
 
-def scene_sums(
-    values: ArrayLike, scenes: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sums of frames' figures by scene.
-
-    Args:
-        values: (N,) or (N, M).
-        scenes: (N,) the scene of each frame.
-
-    Returns:
-        (S,) or (S, M) sums and (S,) numbers of frames, in the sorted order of scenes.
-
-    Raises:
-        ToolkitError: no frames, or lengths that differ.
-
-    >>> sums, counts = scene_sums([1.0, 2.0, 4.0], ["b", "a", "b"])
-    >>> sums.tolist(), counts.tolist()
-    ([2.0, 5.0], [1.0, 2.0])
-    """
-    v, names = np.asarray(values, dtype=np.float64), np.asarray(scenes)
-    if len(v) == 0 or v.ndim > 2 or names.shape != v.shape[:1]:
-        raise ToolkitError(
-            "needs figures of frames, and the scene of each", value=(v.shape, names.shape)
-        )
-    _, inverse = np.unique(names, return_inverse=True)
-    counts = np.bincount(inverse).astype(np.float64)
-    sums = np.zeros((len(counts), *v.shape[1:]))
-    np.add.at(sums, inverse, v)
-    return sums, counts
-
-
-def _draws(rng: np.random.Generator, scenes: int, samples: int) -> Iterator[NDArray[np.float64]]:
+def _draws(scenes: int, samples: int, seed: int) -> Iterator[NDArray[np.float64]]:
     """How often each scene is drawn: (samples, scenes) in all, some at a time."""
     at_once = max(1, _DRAWN_AT_ONCE // scenes)
+    if samples <= at_once:
+        yield _one_draw(scenes, samples, seed)
+        return
+    rng = np.random.default_rng(seed)
     for begin in range(0, samples, at_once):
-        size = min(at_once, samples - begin)
-        # Counting drawn scenes takes a fifth of the time of rng.multinomial.
-        drawn = rng.integers(0, scenes, (size, scenes))
-        drawn += np.arange(size)[:, None] * scenes
-        counts = np.bincount(drawn.ravel(), minlength=size * scenes)
-        yield counts.reshape(size, scenes).astype(np.float64)
+        yield _drawn(rng, scenes, min(at_once, samples - begin))
+
+
+@lru_cache(maxsize=2)  # means of many methods are over the same scenes
+def _one_draw(scenes: int, samples: int, seed: int) -> NDArray[np.float64]:
+    return _drawn(np.random.default_rng(seed), scenes, samples)
+
+
+def _drawn(rng: np.random.Generator, scenes: int, size: int) -> NDArray[np.float64]:
+    # Counting drawn scenes takes a fifth of the time of rng.multinomial.
+    drawn = rng.integers(0, scenes, (size, scenes))
+    drawn += np.arange(size)[:, None] * scenes
+    counts = np.bincount(drawn.ravel(), minlength=size * scenes)
+    return counts.reshape(size, scenes).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -195,7 +171,7 @@ def paired_test(
         float(found.mean),
         float(found.low),
         float(found.high),
-        _flip_test(sums, np.random.default_rng(seed)),
+        flip_test(sums, seed),
         p_wilcoxon,
         len(a),
         len(counts),
@@ -232,7 +208,8 @@ def compare_methods(
             subset, hence one row for each method and frame. Rows with NaN (frames without pixels
             to compare) do not take part.
         metric: the column to compare.
-        samples: draws for intervals.
+        samples: draws for intervals; 0 for the sign-flip test alone, many times as fast: the other
+            columns are NaN.
         seed: of all that is drawn.
 
     Returns:
@@ -262,18 +239,14 @@ def compare_methods(
             hint="compare rows of one data set, protocol, grid and subset",
         )
     table = there.set_index(["scene", "frame", "method"])[metric].unstack("method")
-    pairs = []
-    for first, second in combinations(dict.fromkeys(there["method"]), 2):
-        either = table[[first, second]].dropna(how="all")
-        both = either.dropna()
-        pair = {"first": first, "second": second, "unpaired": len(either) - len(both)}
-        if len(both):
-            scenes = both.index.get_level_values("scene").to_numpy()
-            found = paired_test(
-                both[first].to_numpy(), both[second].to_numpy(), scenes, samples=samples, seed=seed
-            )
-            pair |= vars(found)
-        pairs.append(pair)
+    names = list(dict.fromkeys(there["method"]))
+    if samples:
+        pairs = [_pair(table, *two, samples, seed) for two in combinations(names, 2)]
+    else:
+        scenes = table.index.get_level_values("scene").to_numpy()
+        p = flip_tests(table[names].to_numpy(np.float64), scenes, seed)
+        of = combinations(range(len(names)), 2)
+        pairs = [{"first": names[i], "second": names[j], "p_flip": p[i, j]} for i, j in of]
     columns = ["first", "second", *Paired.__dataclass_fields__, "unpaired"]
     out = pd.DataFrame(pairs, columns=columns)
     for name in ("p_flip", "p_wilcoxon"):
@@ -281,18 +254,16 @@ def compare_methods(
     return out
 
 
-def _flip_test(sums: NDArray[np.float64], rng: np.random.Generator) -> float:
-    """Two-sided p of the sum of the scenes' differences under all swaps, or many drawn ones."""
-    observed = abs(sums.sum())
-    # Sums of the same numbers in another order differ in their last bits.
-    least = observed - 1e-12 * np.abs(sums).sum()
-    if len(sums) <= EXACT_SCENES:
-        ways = np.arange(2 ** len(sums))[:, None] >> np.arange(len(sums)) & 1
-        return float((np.abs((1 - 2 * ways) @ sums) >= least).mean())
-    reached = 0
-    for _ in range(0, FLIPS, _FLIPS_AT_ONCE):
-        bits = rng.bytes(_FLIPS_AT_ONCE * len(sums) // 8)
-        swapped = np.unpackbits(np.frombuffer(bits, np.uint8)).reshape(_FLIPS_AT_ONCE, -1)
-        left = sums.sum() - 2 * (swapped.astype(np.float64) @ sums)
-        reached += int((np.abs(left) >= least).sum())
-    return (reached + 1) / (FLIPS + 1)  # what was observed is one of the ways
+def _pair(
+    table: pd.DataFrame, first: str, second: str, samples: int, seed: int
+) -> dict[str, object]:
+    either = table[[first, second]].dropna(how="all")
+    both = either.dropna()
+    pair = {"first": first, "second": second, "unpaired": len(either) - len(both)}
+    if len(both):
+        scenes = both.index.get_level_values("scene").to_numpy()
+        found = paired_test(
+            both[first].to_numpy(), both[second].to_numpy(), scenes, samples=samples, seed=seed
+        )
+        pair |= vars(found)
+    return pair

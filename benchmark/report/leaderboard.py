@@ -187,7 +187,7 @@ def make_board(
                 split, protocol, grid, subset,
             )  # fmt: skip
             continue
-        parts.append(_with_significance(means, one, samples))
+        parts.append(_with_significance(means, one))
     if not parts:
         raise ToolkitError(
             "no frame could be scored, there is nothing to report",
@@ -202,18 +202,20 @@ def make_board(
     return Board(rows.reindex(columns=list(COLUMNS)), tables, tuple(results))
 
 
-def _with_significance(means: pd.DataFrame, one: pd.DataFrame, samples: int) -> pd.DataFrame:
+def _with_significance(means: pd.DataFrame, one: pd.DataFrame) -> pd.DataFrame:
     """Add `p_best`: each method against the best of its grid and subset, corrected over pairs."""
     means = means.assign(p_best=np.nan)
     for (grid, subset), block in means.groupby(["grid", "subset"], sort=False):
         best = block.loc[block[RANKED_BY].idxmin(), "method"]
         frames = one[(one["grid"] == grid) & (one["subset"] == subset)]
-        pairs = compare_methods(frames, RANKED_BY, samples=samples)
-        for pair in pairs.itertuples():
-            if best in (pair.first, pair.second):
-                other = pair.second if pair.first == best else pair.first
-                at = block.index[block["method"] == other]
-                means.loc[at, "p_best"] = pair.p_flip_holm
+        pairs = compare_methods(frames, RANKED_BY, samples=0)
+        p = pd.concat(
+            [
+                pairs[pairs[of] == best].set_index(other)["p_flip_holm"]
+                for of, other in (("first", "second"), ("second", "first"))
+            ]
+        )
+        means.loc[block.index, "p_best"] = block["method"].map(p)
     return means
 
 

@@ -12,8 +12,11 @@ import pandas as pd
 from benchmark.evaluation.manifest import BOP_FILE, GRASP_MANIFEST, MANIFEST, POSE_MANIFEST
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.page import Block, Heading, Page, Section, Verdict
+from std_toolkit.html.page import Block, Heading, Page, Paragraph, Section, Verdict
 from std_toolkit.html.table import Table
+
+# Runs of a task whose pictures are on the page: pictures of more would exceed 20 MB.
+MOST_PICTURED = 30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +107,21 @@ def render_page(parts: Sequence[ReportPart]) -> str:
         ],
         footer=f"std-toolkit {__version__}, `std-report`. The same figures: {files}.",
     ).html()
+
+
+def left_out(runs: int, folder: str) -> list[Paragraph]:
+    """Return a note on the runs whose pictures are not on the page.
+
+    Args:
+        runs: number of runs with pictures.
+        folder: name of the folder of pictures in each run.
+    """
+    if runs <= MOST_PICTURED:
+        return []
+    text = (
+        f"Pictures of {MOST_PICTURED} of {runs} runs; the others are in the folder `{folder}` of "
+    )
+    return [Paragraph(f"{text}each run.")]
 
 
 def terminal_text(tables: Sequence[Table]) -> str:

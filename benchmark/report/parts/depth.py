@@ -9,7 +9,13 @@ from benchmark.evaluation.depth_panels import PANELS, TRUST_PANEL
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, Gallery
 from benchmark.evaluation.tasks.depth_results import RunResult, read_results
 from benchmark.report import leaderboard
-from benchmark.report.page import ReportPart, table_files, terminal_text
+from benchmark.report.page import (
+    MOST_PICTURED,
+    ReportPart,
+    left_out,
+    table_files,
+    terminal_text,
+)
 from benchmark.report.parts import depth_plots, depth_tables
 from std_toolkit.html import page
 from std_toolkit.html.page import Gallery as Pictures
@@ -51,7 +57,7 @@ def board_sections(board: leaderboard.Board) -> list[page.Section]:
     return [
         *found,
         page.Section("speed", "Speed", _speed(board, colors)),
-        page.Section("gallery", "Gallery", gallery(board.results)),
+        page.Section("gallery", "Gallery", gallery(_best_first(board))),
         page.Section("runs", "What ran", [depth_tables.run_table(board.results)]),
     ]
 
@@ -98,14 +104,37 @@ def _speed(board: leaderboard.Board, colors: dict[str, str]) -> list[page.Block]
     return [depth_tables.cost_table(board, known, split, protocol), page.Plot("speed", figure)]
 
 
+def _best_first(board: leaderboard.Board) -> list[RunResult]:
+    """The runs if they are few; else the best of each board, then the second ones, and so on."""
+    if len(board.results) <= MOST_PICTURED:
+        return list(board.results)
+    place: dict[tuple[str, str, str], int] = {}
+    for split, protocol in board.boards:
+        rows = board.main_rows(split, protocol)
+        measured = rows.loc[rows["kind"] == leaderboard.MEASURED, "method"]
+        place |= {(split, protocol, method): i for i, method in enumerate(measured)}
+    last = len(board.results)
+
+    def place_of(result: RunResult) -> int:
+        setup = result.manifest.setup
+        return place.get((setup.split, setup.protocol, result.manifest.label), last)
+
+    return sorted(board.results, key=place_of)
+
+
 def gallery(results: Sequence[RunResult]) -> list[page.Block]:
-    """Pictures of the common frames for each method, then the best and worst frames of each."""
+    """Pictures of the common frames for each method, then the best and worst frames of each.
+
+    Args:
+        results: runs; only the first `MOST_PICTURED` with pictures are shown.
+    """
     blocks: list[page.Block] = []
-    found = [(r, _gallery_of(r)) for r in results]
+    every = [(r, pictures) for r in results if (pictures := _gallery_of(r))]
+    found = every[:MOST_PICTURED]
     common: dict[tuple[str, str, str, str], list[tuple[RunResult, str, float]]] = {}
     for result, pictures in found:
         setup = result.manifest.setup
-        for p in pictures.pictures if pictures else ():
+        for p in pictures.pictures:
             if p.rank == "common":
                 key = (setup.split, setup.protocol, p.scene, p.frame)
                 common.setdefault(key, []).append((result, p.picture, p.rmse))
@@ -117,7 +146,7 @@ def gallery(results: Sequence[RunResult]) -> list[page.Block]:
         blocks.append(page.Heading(f"{split} {scene}/{frame}, {protocol}"))
         blocks.append(Pictures(strips, heads=PANELS))
     for result, pictures in found:
-        own = [p for p in pictures.pictures if p.rank in _RANKS] if pictures else []
+        own = [p for p in pictures.pictures if p.rank in _RANKS]
         if not own:
             continue
         setup = result.manifest.setup
@@ -136,7 +165,7 @@ def gallery(results: Sequence[RunResult]) -> list[page.Block]:
     if not blocks:
         return []
     about = "The first frames are the same for all methods, the best method first."
-    return [page.Paragraph(about), _LEGEND, *blocks]
+    return [page.Paragraph(about), *left_out(len(every), FOLDER), _LEGEND, *blocks]
 
 
 _LEGEND = page.Legend(

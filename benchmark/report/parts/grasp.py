@@ -13,7 +13,7 @@ from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp import ORACLE, RAW, STRIPS, TRUE
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
-from benchmark.report.page import ReportPart, table_files
+from benchmark.report.page import MOST_PICTURED, ReportPart, left_out, table_files
 from benchmark.report.parts.depth_tables import machine
 from std_toolkit.html import page
 from std_toolkit.html.table import Cell, Column, Row, Table
@@ -178,8 +178,11 @@ def _run_table(results: Sequence[grasp_results.GraspResult]) -> Table:
 
 
 def _pictures(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
-    blocks: list[page.Block] = []
-    for result in results:
+    with_strips = [result for result in results if (result.folder / STRIPS).is_dir()]
+    blocks: list[page.Block] = [*left_out(len(with_strips), STRIPS)]
+    if blocks:  # the best ones
+        with_strips.sort(key=lambda result: -result.rates.completion_tables.value)
+    for result in with_strips[:MOST_PICTURED]:
         views = result.table[result.table[KIND] == ATTEMPT]
         first = views.drop_duplicates("outcome").head(_MOST_STRIPS)
         shown = []

@@ -9,6 +9,7 @@ import pandas as pd
 
 from benchmark.evaluation.tasks import pose_inputs, pose_pictures, pose_results
 from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED, frames_of
+from benchmark.report.page import MOST_PICTURED, left_out
 from benchmark.report.parts import depth_tables
 from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, TABLES, PoseBoard
 from std_toolkit.html import page
@@ -132,16 +133,17 @@ def pose_gallery(board: PoseBoard) -> list[page.Block]:
     groups: dict[
         tuple[str, str, str], list[tuple[pose_results.PoseResult, pose_pictures.PosePictures]]
     ] = {}
-    for result in board.results:
-        path = result.folder / pose_pictures.POSE_GALLERY / pose_pictures.PICTURES_FILE
-        if path.exists():
-            method, _, fit = result.name
-            shown = (result, read_document(path, pose_pictures.PosePictures))
-            groups.setdefault((result.split, method, fit), []).append(shown)
+    index = f"{pose_pictures.POSE_GALLERY}/{pose_pictures.PICTURES_FILE}"
+    pictured = [result for result in board.results if (result.folder / index).exists()]
+    for result in pictured[:MOST_PICTURED]:
+        method, _, fit = result.name
+        shown = (result, read_document(result.folder / index, pose_pictures.PosePictures))
+        groups.setdefault((result.split, method, fit), []).append(shown)
     if not groups:
         return []
     blocks: list[page.Block] = [
         page.Paragraph("Frames evenly spaced over the split, the same for all runs."),
+        *left_out(len(pictured), pose_pictures.POSE_GALLERY),
         page.Legend(
             [
                 page.LegendEntry("#14cd4b", "true box", 26),

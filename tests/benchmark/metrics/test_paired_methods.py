@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import wilcoxon
 
-from benchmark.metrics import significance
+from benchmark.metrics import flips
 from benchmark.metrics.significance import compare_methods, holm, paired_test
 from std_toolkit.errors import ToolkitError
 
@@ -41,7 +41,7 @@ def test_drawn_flips_are_near_the_counted_ones(monkeypatch: pytest.MonkeyPatch) 
     second = first - np.random.default_rng(1).normal(0.01, 0.05, 12)[scenes]
     counted = paired_test(first, second, scenes).p_flip
     assert 0.02 < counted < 0.98
-    monkeypatch.setattr("benchmark.metrics.significance.EXACT_SCENES", 3)
+    monkeypatch.setattr("benchmark.metrics.flips.EXACT_SCENES", 3)
     assert paired_test(first, second, scenes).p_flip == pytest.approx(counted, abs=0.02)
 
 
@@ -136,5 +136,29 @@ def test_what_is_refused() -> None:
 
 def test_the_least_p_of_drawn_flips_counts_what_was_observed() -> None:
     sums = np.linspace(1.0, 1.5, 40)
-    found = significance._flip_test(sums, np.random.default_rng(0))
-    assert found == 1 / (significance.FLIPS + 1)
+    found = flips.flip_test(sums)
+    assert found == 1 / (flips.FLIPS + 1)
+
+
+@pytest.mark.parametrize("scenes", [2, 6, 15, 20])
+def test_all_pairs_at_once_have_the_p_of_single_tests(scenes: int) -> None:
+    """With ties, equal methods, and methods that lack frames."""
+    rng = np.random.default_rng(scenes)
+    of = np.repeat(np.arange(scenes), 2)
+    values = rng.normal(1, 0.2, (len(of), 7))
+    values[:, 4:] = np.round(values[:, 4:] * 4) / 4
+    values[:, 3] = values[:, 0]
+    values[0, 1] = values[-1, 5] = np.nan
+    found = flips.flip_tests(values, of)
+    for i, j in combinations(range(7), 2):
+        both = ~np.isnan(values[:, i] + values[:, j])
+        alone = paired_test(values[both, i], values[both, j], of[both], samples=2).p_flip
+        assert found[i, j] == found[j, i] == alone
+
+
+def test_without_intervals_the_corrected_p_is_the_same() -> None:
+    first, scenes = frames()
+    table = rows(swin=first, raw=first + 0.5, nlspn=first + np.where(scenes % 2, 1e-3, -1e-3))
+    whole, quick = compare_methods(table, samples=50), compare_methods(table, samples=0)
+    same = ["first", "second", "p_flip", "p_flip_holm"]
+    assert quick[same].equals(whole[same])

@@ -25,9 +25,10 @@ from benchmark.report.leaderboard import (
     merge_equal,
 )
 from benchmark.report.page import table_files, terminal_text
-from benchmark.report.parts.depth import CSV, LATEX, MARKDOWN
+from benchmark.report.parts.depth import CSV, LATEX, MARKDOWN, board_sections
 from benchmark.report.parts.depth_tables import board_tables
 from std_toolkit.errors import ToolkitError
+from std_toolkit.html.page import Details, Paragraph
 from std_toolkit.html.table import Table, escape_latex
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.evaluation.bench_set import a_run, write_split
@@ -251,3 +252,18 @@ def test_csv_reads_back(results: Path) -> None:
     back = pd.read_csv(io.StringIO(file(board, CSV)))
     assert list(back.columns) == list(board.rows.columns)
     assert len(back) == len(board.rows)
+
+
+@pytest.mark.slow
+def test_many_runs_have_pictures_of_the_best_alone(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("page", "parts.depth"):
+        monkeypatch.setattr(f"benchmark.report.{module}.MOST_PICTURED", 2)
+    board = make_board(read_results([results]), samples=2)
+    best = board.main_rows(*board.boards[0]).query(f"kind == {MEASURED!r}")["method"].tolist()
+    blocks = next(s for s in board_sections(board) if s.anchor == "gallery").blocks
+    shown = [block.title.split()[0] for block in blocks if isinstance(block, Details)]
+    assert shown == best[:2]
+    notes = [block.text for block in blocks if isinstance(block, Paragraph)]
+    assert "Pictures of 2 of 3 runs; the others are in the folder `gallery` of each run." in notes
