@@ -104,7 +104,8 @@ def measured(step: str, top: Path) -> tuple[float, float, float]:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     _, status, usage = os.wait4(process.pid, 0)
     assert process.stderr is not None
-    if os.waitstatus_to_exitcode(status) not in (0, 1):
+    # The labels do not fit pictures of noise: the check fails them.
+    if os.waitstatus_to_exitcode(status) not in ((0, 1) if step == "check" else (0,)):
         sys.exit(f"{step}: {process.stderr.read().decode()}")
     return (
         usage.ru_utime + usage.ru_stime,

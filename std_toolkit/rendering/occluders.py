@@ -42,6 +42,7 @@ _TRUNCATION_VOXELS = 4.0
 _HALF_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _OUTLINE_MARGIN_PX = 7
 _SMALLEST_PIECE_M2 = 4e-4
+_OPEN3D_STRIDE = 4  # Open3D looks for voxels along the rays of every fourth pixel
 
 
 def fuse_occluders(scene: Scene, options: FusionOptions) -> tuple[str, str]:
@@ -122,6 +123,7 @@ def _fuse(
         block_count=4000,
     )
     renderer = raycast.RaycastRenderer(threads=0)
+    fused = 0
     for frame_id in frames:
         frame = scene.frame(frame_id)
         camera = scene.camera(frame)
@@ -134,6 +136,10 @@ def _fuse(
             camera = camera.without_distortion()
         placed = placements.place_meshes(scene, placements.frame_placements(scene, frame_id))
         depth, farthest = _trusted_depth(scene, sensor, camera, placed, renderer, options)
+        sampled = depth[::_OPEN3D_STRIDE, ::_OPEN3D_STRIDE]
+        if not ((sampled > 0) & (sampled < farthest)).any():
+            continue  # Open3D refuses a view without a voxel
+        fused += 1
         reading = o3d.t.geometry.Image(
             core.Tensor.from_numpy(np.ascontiguousarray(depth, np.float32))
         )
@@ -142,6 +148,8 @@ def _fuse(
         pose = core.Tensor.from_numpy(T_world_cam.inverse().matrix())
         view = (reading, K, pose, 1.0, farthest, _TRUNCATION_VOXELS)
         grid.integrate(grid.compute_unique_block_coordinates(*view), *view)
+    if not fused:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     mesh = grid.extract_triangle_mesh(weight_threshold=min(3.0, len(frames) / 4))
     if len(mesh.vertex) == 0 or len(mesh.triangle) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)

@@ -119,3 +119,11 @@ def test_a_policy_needs_what_it_compares_with(make_scene: Callable[..., Scene]) 
     assert _possible_policy(scene, 0, None, with_occluder) == "fused"
     scene.save_poses(CameraPoses(frames=[FramePose(frame=0, status="unregistered")]))
     assert _possible_policy(scene, 0, None, with_occluder) == "models"
+
+
+def test_views_without_depth_are_left_out(tmp_path: Path) -> None:
+    """A sensor that measured nothing, or only what is behind the objects."""
+    scene = scene_of_a_plane(tmp_path / "scene", np.zeros(2))
+    nothing = np.zeros((240, 320), np.float32)
+    write_depth_png16(scene.root / "depth/000000.png", nothing, scale=DEPTH_SCALE)
+    assert load_occluder(*fuse_occluders(scene, FusionOptions())) is None
