@@ -15,6 +15,7 @@ from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color, write_
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
 from std_toolkit.scanning.views import View
+from std_toolkit.scene.document import digest_file
 
 MIN_PHOTOS = 8
 _USUAL_PHOTOS = 24
@@ -95,8 +96,9 @@ def find_photos(folder: Path, work: Path, *, longest: int) -> Photos:
     small = (round(size[0] * factor), round(size[1] * factor))
     used = []
     for path in paths:
-        target = work / "photos" / f"{path.stem}-{small[0]}.png"
-        if not target.is_file() or target.stat().st_mtime < path.stat().st_mtime:
+        # Named by content: times of files follow the clock, and copies keep the older ones.
+        target = work / "photos" / f"{path.stem}-{small[0]}-{digest_file(path)[:12]}.png"
+        if not target.is_file():
             image = cv2.resize(read_color(path), small, interpolation=cv2.INTER_AREA)
             write_color(target, np.asarray(image, np.uint8))
         used.append(target)

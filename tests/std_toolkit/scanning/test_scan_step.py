@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.io.images import write_color, write_png
+from std_toolkit.io.images import read_color, write_color, write_png
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.board_scale import BoardDetection
@@ -188,3 +189,16 @@ def test_a_choice_names_a_photo_and_numbers(tmp_path: Path) -> None:
     assert found.index_of("003", "--pick") == 3
     with pytest.raises(ToolkitError, match="no such photo"):
         found.index_of("nine", "--pick")
+
+
+def test_a_photo_replaced_by_an_older_file_is_reduced_again(tmp_path: Path) -> None:
+    """As after `cp -p`, or with the clock set back."""
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for n in range(8):
+        write_color(folder / f"{n}.png", np.full((48, 64, 3), 50 + n, np.uint8))
+    scan_step.photo_files.find_photos(folder, tmp_path / "work", longest=32)
+    write_color(folder / "3.png", np.full((48, 64, 3), 200, np.uint8))
+    os.utime(folder / "3.png", (0, 0))
+    found = scan_step.photo_files.find_photos(folder, tmp_path / "work", longest=32)
+    assert (read_color(found.used[3]) == 200).all()
