@@ -13,11 +13,13 @@ from scipy import ndimage
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.hull import surface_of
-from std_toolkit.scanning.table_model import Comparison, compare, model_table
+from std_toolkit.scanning.table_model import Comparison, compare, is_table, model_table
 from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
 
 # Voxels of the first, coarse hull.
 _COARSE_VOXELS = 400_000
+# Margin of the table around the board that is compared coarsely, in sizes of the board.
+_FAR = 3.0
 # Candidates smaller than this share of the largest are not offered.
 _SMALL = 0.02
 # Height above the table from which a voxel or a point counts as part of an object.
@@ -62,8 +64,14 @@ def find_candidates(
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     size = float((high - low).max())
     low, high = low - 0.35 * size, high + 0.35 * size
-    table = model_table(views, low, high)
-    compared = in_threads(lambda i: compare(views[i], table, i), range(len(views)), threads=threads)
+    tables = [model_table(views, low, high)]
+    # Low photos show the table far behind the object.
+    far = model_table(views, low - _FAR * size, high + _FAR * size)
+    if is_table(far):
+        tables.append(far)
+    compared = in_threads(
+        lambda i: compare(views[i], tables, i), range(len(views)), threads=threads
+    )
     # Objects stand on the board or reach over its border by a little.
     edge = 0.12 * size
     low, high = low + 0.35 * size - edge, high - 0.35 * size + edge

@@ -160,7 +160,8 @@ def consistent(
             hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
             maybe = dilated(inside, band) & ~hidden
             if never is not None:
-                maybe &= ~never[i]
+                # By chance the object has the colour of the table behind it: other photos decide.
+                maybe &= ~never[i] | eroded(inside, 4 * band)
             sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
             return view.with_mask(_grab_cut(view.image, maybe, sure), view.hidden)
 

@@ -22,6 +22,7 @@ from std_toolkit.scanning.bake import Texture, bake_texture
 from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine, DepthMap
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks import segment_by_border, segment_on_table, volume_of_masks
+from std_toolkit.scanning.model_frame import find_symmetry, model_frame, write_symmetry
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.revolve import OutlineView, fit_revolution
@@ -102,8 +103,9 @@ def scan(options: ScanOptions) -> Scan:
     lap("texture")
     T_model_world = SE3.identity()
     if posed.on_table:
-        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        T_model_world = SE3(np.eye(3), -middle)
+        T_model_world = model_frame(vertices, faces, options.category)
+    symmetry, words = find_symmetry(T_model_world @ vertices, faces, texture)
+    lap("symmetry")
     result = Scan(
         name=options.out.resolve().name,
         vertices=T_model_world @ vertices,
@@ -111,11 +113,12 @@ def scan(options: ScanOptions) -> Scan:
         texture=texture,
         supported=support > _SUPPORTED,
         views=[replace(v, T_world_cam=T_model_world @ v.T_world_cam) for v in views],
-        facts=posed.facts,
+        facts={**posed.facts, **words},
         warnings=posed.warnings,
         seconds=seconds,
     )
     write_model(options.out, result.name, result.vertices, faces, texture)
+    write_symmetry(options.out, symmetry)
     write_report(options.out, result)
     lap("files")
     return result

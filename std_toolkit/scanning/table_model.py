@@ -23,6 +23,8 @@ _CLEAR = 14.0
 _DIFFERENT = 26.0
 # A cell whose photos differ more is no table at rest: a moving background, or the object.
 _LARGEST_SPREAD = 22.0
+# Share of the cells around the board that are at rest on a table, and are not around a turntable.
+_AT_REST = 0.6
 # Sine of the angle below which the table is seen too flat to compare.
 _FLATTEST = 0.12
 
@@ -35,6 +37,7 @@ class TableModel:
         low: (2,) x and y of the first cell, metres.
         cell: size of a cell in metres.
         color: (h, w, 3) float32 median colour.
+        seen: (h, w) cells that enough photos show.
         known: (h, w) cells whose photos agree.
         gains: (V, 3) factor from the table's colours to those of each photo.
     """
@@ -42,6 +45,7 @@ class TableModel:
     low: Array
     cell: float
     color: NDArray[np.float32]
+    seen: Mask
     known: Mask
     gains: NDArray[np.float32]
 
@@ -90,8 +94,14 @@ def model_table(views: Sequence[View], low: Array, high: Array) -> TableModel:
             use = seen[i] & (spread < _LARGEST_SPREAD) & (color.min(axis=1) > 20)
             if use.sum() > 500:
                 gains[i] = np.median(samples[i][use] / color[use], axis=0)
-    known = (seen.sum(axis=0) >= _MIN_PHOTOS) & (spread < _LARGEST_SPREAD)
-    return TableModel(low, cell, color.reshape(h, w, 3), known.reshape(h, w), gains)
+    enough = (seen.sum(axis=0) >= _MIN_PHOTOS).reshape(h, w)
+    known = enough & (spread < _LARGEST_SPREAD).reshape(h, w)
+    return TableModel(low, cell, color.reshape(h, w, 3), enough, known, gains)
+
+
+def is_table(model: TableModel) -> bool:
+    """Whether most of what the photos show there is at rest, as it is not around a turntable."""
+    return bool(model.known.sum() > _AT_REST * model.seen.sum())
 
 
 def _median(
@@ -117,14 +127,24 @@ def _median(
     return color, spread
 
 
-def compare(view: View, table: TableModel, index: int) -> Comparison:
+def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
     """Where a photo shows the bare table and where something else.
 
     Args:
         view: the photo.
-        table: of `model_table` over all photos.
+        tables: of `model_table` over all photos; where several know a place, the first counts.
         index: index of the photo among them.
     """
+    first, *others = (_compare(view, table, index) for table in tables)
+    for c in others:
+        new = c.known & ~first.known
+        first = Comparison(
+            first.clear | (c.clear & new), first.different | (c.different & new), first.known | new
+        )
+    return first
+
+
+def _compare(view: View, table: TableModel, index: int) -> Comparison:
     h, w = view.image.shape[:2]
     c = view.camera
     u, v = np.meshgrid(np.arange(w), np.arange(h))
