@@ -20,8 +20,10 @@ _SIMILAR_DEG = 35.0
 _LARGEST_ERROR_PX = 4.0
 # Features that photos of an object at rest share, and that photos before and after a move share.
 _MANY, _NONE = 15, 3
-# Pairs of photos that must tell the same.
-_LEAST_PAIRS = 4
+# Pairs of photos before and after a move, and the share of them that share no feature.
+_LEAST_PAIRS, _SHARE_NONE = 4, 0.5
+# Features of one object lie in a box with this margin.
+_MARGIN_M = 0.005
 # Corners of tags in one photo, and photos, that show the board through the object.
 _CORNERS_THROUGH, _PHOTOS_THROUGH = 4, 3
 
@@ -38,7 +40,7 @@ def check_rest(
     """Raise an error if the object moved on the board between two photos.
 
     Features above the table that two photos share, at one place relative to the board, belong to an
-    object at rest. If no photo before some moment shares any with the photos after it, although
+    object at rest. If most photos before some moment share none with those after it, although
     photos from directions as similar share many, the object was moved or turned.
 
     Args:
@@ -52,30 +54,51 @@ def check_rest(
     Raises:
         ToolkitError: it moved.
     """
-    ends, counts = [], []
+    ends, points = [], []
     for i, j, matches in pairs:
         if i not in poses or j not in poses or _angle(poses[i], poses[j]) > _SIMILAR_DEG:
             continue
         ends.append((min(i, j), max(i, j)))
-        counts.append(_shared(uv[i][matches[:, 0]], uv[j][matches[:, 1]], poses[i], poses[j],
+        points.append(_shared(uv[i][matches[:, 0]], uv[j][matches[:, 1]], poses[i], poses[j],
                               camera, reach))  # fmt: skip
     if not ends:
         return
     first, last = np.array(ends).T
-    count = np.array(counts)
+    count = np.array([len(p) for p in points])
+    found, most = None, _SHARE_NONE
     for k in sorted(poses)[1:]:
-        across = (first < k) & (last >= k)
-        if across.sum() < _LEAST_PAIRS or (~across).sum() < _LEAST_PAIRS:
+        across = np.flatnonzero((first < k) & (last >= k))
+        early, late = np.flatnonzero(last < k), np.flatnonzero(first >= k)
+        if min(len(across), len(early), len(late)) < _LEAST_PAIRS:
             continue
-        before, after = count[last < k], count[first >= k]
-        if min(len(before), len(after)) < _LEAST_PAIRS:
+        # Photos beside a plain side of an object share nothing either, with any photo.
+        beside = count[early][last[early] == k - 1], count[late][first[late] == k]
+        if min(c.max(initial=0) for c in beside) < _MANY:
             continue
-        if count[across].max() <= _NONE and min(np.median(before), np.median(after)) >= _MANY:
-            raise ToolkitError(
-                f"the object moved on the board between {names[k - 1]} and {names[k]}",
-                hint="photograph it again without touching it on the board, or keep only the "
-                "photos before or after the move",
-            )
+        if min(np.median(count[early]), np.median(count[late])) < _MANY:
+            continue
+        boxes = [_box([points[n] for n in part]) for part in (early, late)]
+        none = [
+            min(int(((points[n] >= low) & (points[n] <= high)).all(axis=1).sum())
+                for low, high in boxes) <= _NONE
+            for n in across
+        ]  # fmt: skip
+        share = float(np.mean(none))
+        if share >= most and (found is None or share > most):
+            found, most = k, share
+    if found is not None:
+        raise ToolkitError(
+            f"the object moved on the board between {names[found - 1]} and {names[found]}",
+            hint="photograph it again without touching it on the board, or keep only the photos "
+            "before or after the move",
+        )
+
+
+def _box(points: Sequence[Array]) -> tuple[Array, Array]:
+    """Corners of a box around nearly all points of an object."""
+    together = np.concatenate(points)
+    low, high = np.percentile(together, 2, axis=0), np.percentile(together, 98, axis=0)
+    return low - _MARGIN_M, high + _MARGIN_M
 
 
 def _angle(a: SE3, b: SE3) -> float:
@@ -85,10 +108,10 @@ def _angle(a: SE3, b: SE3) -> float:
 
 def _shared(
     a: Array, b: Array, pose_a: SE3, pose_b: SE3, camera: Camera, reach: tuple[Array, Array]
-) -> int:
-    """Number of matches (M, 2), (M, 2) that meet at a point above the board."""
+) -> Array:
+    """Points (N, 3) above the board at which matches (M, 2), (M, 2) meet."""
     if len(a) == 0:
-        return 0
+        return np.zeros((0, 3))
     rays = [np.asarray(pose.R @ camera.unproject(p).T).T for pose, p in ((pose_a, a), (pose_b, b))]
     d, e = (r / np.linalg.norm(r, axis=1, keepdims=True) for r in rays)
     base = pose_b.t - pose_a.t
@@ -103,7 +126,7 @@ def _shared(
     for pose, p in ((pose_a, a), (pose_b, b)):
         off = np.linalg.norm(camera.project(pose.inverse() @ point) - p, axis=1)
         good &= np.nan_to_num(off, nan=np.inf) < _LARGEST_ERROR_PX
-    return int(good.sum())
+    return np.asarray(point[good])
 
 
 def check_opaque(
