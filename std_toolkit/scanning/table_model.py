@@ -28,6 +28,8 @@ _AT_REST = 0.6
 # Rings of cells by which the table is continued under the object, their width, the difference from
 # the colour beside them, and the share of the photos that must show it.
 _RINGS, _RING, _CONTINUED, _CONTINUED_SHARE = 16, 4, 20.0, 0.25
+# The continued table in parts of the brightness of the known one, and its deviation in hue.
+_DARKEST, _BRIGHTEST, _OTHER_HUE = 0.4, 1.15, 10.0
 # Sine of the angle below which the table is seen too flat to compare.
 _FLATTEST = 0.12
 
@@ -105,10 +107,10 @@ def model_table(views: Sequence[View], low: Array, high: Array, corners: Array) 
                 gains[i] = np.median(samples[i][use] / color[use], axis=0)
     enough = (seen.sum(axis=0) >= _MIN_PHOTOS).reshape(h, w)
     known = enough & (spread < _LARGEST_SPREAD).reshape(h, w)
-    color = color.reshape(h, w, 3)
+    colors = color.reshape(h, w, 3)
     known = _of_the_table(known, (corners[:, :2] - low) / cell)
-    _continue(color, known, samples.reshape(-1, h, w, 3), seen.reshape(-1, h, w), gains)
-    return TableModel(low, cell, color, enough, known, gains)
+    _continue(colors, known, samples.reshape(-1, h, w, 3), seen.reshape(-1, h, w), gains)
+    return TableModel(low, cell, colors, enough, known, gains)
 
 
 def _of_the_table(known: Mask, corners: Array) -> Mask:
@@ -137,8 +139,10 @@ def _continue(
     """Continue a table under the object in place, from known cells inwards.
 
     Beside an object, half of the photos show the object before the table, so the median is of no
-    use there. The photos that show about the colour of the nearest known cells show the table.
+    use there. The photos that show about the colour of the nearest known cells show the table; it
+    may get darker towards the object, but not of another hue.
     """
+    origin = color.copy()
     for _ in range(_RINGS):
         near = cv2.dilate(known.astype(np.uint8), np.ones((2 * _RING + 1,) * 2, np.uint8)) > 0
         rows, columns = np.nonzero(near & ~known)
@@ -146,11 +150,17 @@ def _continue(
             return
         # Beside tags, which are dark and bright by turns, the mean is no colour of the table.
         weight = cv2.blur(known.astype(np.float32), (2 * _RING + 1,) * 2)
-        sums = cv2.blur(color * known[..., None], (2 * _RING + 1,) * 2)
-        expected = sums[rows, columns] / np.maximum(weight[rows, columns], 1e-6)[:, None]
+        share = np.maximum(weight[rows, columns], 1e-6)[:, None]
+        expected, bare = (
+            cv2.blur(c * known[..., None], (2 * _RING + 1,) * 2)[rows, columns] / share
+            for c in (color, origin)
+        )
         value = samples[:, rows, columns].astype(np.float32) / gains[:, None]
         there = seen[:, rows, columns]
         fits = there & (np.abs(value - expected).max(axis=-1) < _CONTINUED)
+        gain = value.mean(axis=-1) / np.maximum(bare.mean(axis=-1), 1)
+        hue = np.abs(value - gain[..., None] * bare).max(axis=-1)
+        fits &= (gain > _DARKEST) & (gain < _BRIGHTEST) & (hue < _OTHER_HUE)
         count = fits.sum(axis=0)
         enough = (count >= _MIN_PHOTOS) & (count >= _CONTINUED_SHARE * there.sum(axis=0))
         mean = (value * fits[..., None]).sum(axis=0) / np.maximum(count, 1)[:, None]
@@ -161,6 +171,7 @@ def _continue(
         if len(rows) == 0:
             return
         color[rows, columns] = mean[enough]
+        origin[rows, columns] = bare[enough]
         known[rows, columns] = True
 
 
