@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+pytest.importorskip("manifold3d")
+
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.scanning.object_checks import check_opaque, check_rest
@@ -53,6 +55,7 @@ def test_an_object_that_moved_is_named_with_the_photos(turn: float) -> None:
         check(dict.fromkeys(range(10, COUNT), moved))
 
 
+@pytest.mark.slow
 def test_a_board_that_is_seen_through_the_object() -> None:
     import trimesh
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+
+pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import Camera
 from std_toolkit.scanning.table_model import compare, model_table
@@ -33,6 +36,7 @@ def photos_of_a_box(count: int = 12) -> list[View]:
     return views
 
 
+@pytest.mark.slow
 def test_the_table_is_known_up_to_the_foot_of_the_object() -> None:
     views = photos_of_a_box()
     table = model_table(views, np.array([-0.2, -0.2]), np.array([0.2, 0.2]), CORNERS)
@@ -46,6 +50,7 @@ def test_the_table_is_known_up_to_the_foot_of_the_object() -> None:
         assert (found.clear[~view.mask & found.known]).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_where_the_first_table_ends_the_second_is_compared() -> None:
     views = photos_of_a_box()
     near = model_table(views, np.array([-0.1, -0.1]), np.array([0.1, 0.1]), CORNERS)
