@@ -118,6 +118,16 @@ def unwrap(
     return np.asarray(mesh.triangle.texture_uvs.numpy(), np.float64)
 
 
+def vertex_colors(count: int, faces: NDArray[np.int64], texture: Texture) -> NDArray[np.uint8]:
+    """RGB (count, 3) of the texture at every vertex."""
+    size = texture.image.shape[0]
+    column = np.clip((texture.uv[..., 0] * size).astype(np.int64), 0, size - 1)
+    row = np.clip(((1 - texture.uv[..., 1]) * size).astype(np.int64), 0, size - 1)
+    color = np.full((count, 3), 128, np.uint8)
+    color[faces.ravel()] = texture.image[row, column].reshape(-1, 3)
+    return color
+
+
 def vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     """(V, 3) unit normals, weighted by the areas of the faces."""
     corners = vertices[faces]

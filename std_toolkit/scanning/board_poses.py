@@ -22,6 +22,7 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.poses.board_scale import Board, BoardDetection, detect_board
+from std_toolkit.scanning.object_checks import check_rest
 
 # Corners that a photo needs for a pose of its own.
 _MIN_CORNERS = 8
@@ -164,7 +165,7 @@ def pose_photos(
         max_features: number of features per photo.
 
     Raises:
-        ToolkitError: too few photos have a pose.
+        ToolkitError: too few photos have a pose, or the object moved.
     """
     start: dict[int, SE3] = {}
     for i, f in enumerate(found):
@@ -180,6 +181,11 @@ def pose_photos(
     start = {i: turn @ T for i, T in start.items()}
     placed = [replace(f, xyz=turn @ f.xyz) for f in found]
     uv, pairs = _matches(paths, start, camera, work, jobs, max_features)
+    plane = np.concatenate([f.xyz[:, :2] for f in placed])
+    check_rest(
+        pairs, uv, start, camera, [p.name for p in paths],
+        reach=(plane.min(axis=0), plane.max(axis=0)),
+    )  # fmt: skip
     model = _model(paths, start, placed, uv, pairs, camera)
     return _adjusted(model, placed, len(paths))
 

@@ -13,13 +13,19 @@ from scipy import ndimage
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.hull import surface_of
-from std_toolkit.scanning.table_model import Comparison, compare, model_table
+from std_toolkit.scanning.table_model import Comparison, compare, is_table, model_table
 from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
 
 # Voxels of the first, coarse hull.
 _COARSE_VOXELS = 400_000
+# Height of an object in sizes of the board.
+_TALLEST = 2.0
+# Margin of the table around the board that is compared coarsely, in sizes of the board.
+_FAR = 3.0
 # Candidates smaller than this share of the largest are not offered.
 _SMALL = 0.02
+# Share of the photos in which an object hides the table.
+_HIDES = 0.2
 # Height above the table from which a voxel or a point counts as part of an object.
 _ABOVE_M = 0.004
 # Features of one object have a neighbour within this distance.
@@ -62,25 +68,31 @@ def find_candidates(
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     size = float((high - low).max())
     low, high = low - 0.35 * size, high + 0.35 * size
-    table = model_table(views, low, high)
-    compared = in_threads(lambda i: compare(views[i], table, i), range(len(views)), threads=threads)
+    tables = [model_table(views, low, high, corners)]
+    # Low photos show the table far behind the object.
+    far = model_table(views, low - _FAR * size, high + _FAR * size, corners)
+    if is_table(far):
+        tables.append(far)
+    compared = in_threads(
+        lambda i: compare(views[i], tables, i), range(len(views)), threads=threads
+    )
     # Objects stand on the board or reach over its border by a little.
     edge = 0.12 * size
     low, high = low + 0.35 * size - edge, high - 0.35 * size + edge
-    tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), 0.8 * size, 0.5)
+    tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), _TALLEST * size)
     box = np.array([*(high - low), tallest])
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
     grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
-    inside, possible = _not_carved(views, compared, grid)
-    return _split(inside, possible, grid), compared
+    different, possible = _not_carved(views, compared, grid)
+    return _split(different, possible, grid, len(views)), compared
 
 
 def _not_carved(
     views: Sequence[View], compared: Sequence[Comparison], grid: Grid
-) -> tuple[Mask, Mask]:
-    """Voxels that hide the table in several photos, and voxels that may do.
+) -> tuple[NDArray[np.int16], Mask]:
+    """Number of photos in which each voxel hides the table, and voxels that may hide it.
 
-    Both stand before the bare table in few photos.
+    The latter stand before the bare table in few photos.
     """
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
     points = grid.points(index.reshape(-1, 3))
@@ -104,18 +116,23 @@ def _not_carved(
         clear[ok] += whole[yi, xi]
         different[ok] += c.different[yi, xi]
     possible = (clear <= np.maximum(1, 0.12 * different)).reshape(grid.shape)
-    return possible & (different.reshape(grid.shape) >= 3), possible
+    return different.reshape(grid.shape), possible
 
 
-def _split(inside: Mask, possible: Mask, grid: Grid) -> list[Candidate]:
+def _split(
+    different: NDArray[np.int16], possible: Mask, grid: Grid, photos: int
+) -> list[Candidate]:
     """Connected parts of the coarse hull that begin near the table, largest first."""
-    labels, _ = ndimage.label(inside)
+    labels, _ = ndimage.label(possible & (different >= 3))
     found = []
     bottom = max(2, round(0.02 / grid.step))
     for n, place in enumerate(ndimage.find_objects(labels), start=1):
         part = labels[place] == n
         volume = float(part.sum()) * grid.step**3
         if part.sum() < 12 or place[0].start > bottom or volume < 5e-7:
+            continue
+        # Places that few photos show well are not carved, but do not hide the table either.
+        if np.percentile(different[place][part], 90) < _HIDES * photos:
             continue
         start = np.array([s.start for s in place])
         corner = grid.points(start[None])[0]
@@ -166,7 +183,7 @@ def choose_candidate(
         raise ToolkitError(
             "nothing was found standing on the board",
             hint="put the object on the board, photograph it also from above so that the board is "
-            "seen behind it, or give --masks",
+            "seen behind it, or give --masks; clear glass is hardly seen: spray it matt",
         )
     if pick is not None:
         view = views[pick[0]]

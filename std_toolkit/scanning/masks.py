@@ -47,7 +47,7 @@ def segment_on_table(
     grown = middle + _OUTER * (target.vertices - middle), target.faces
     likely = RayCaster(*grown, threads=1)
     caster = RayCaster(*(target.outer or grown), threads=1)
-    exact = RayCaster(middle + _INNER * (target.vertices - middle), target.faces, threads=1)
+    exact = RayCaster(*well_within(target), threads=1)
     before = None
     if others:
         before = RayCaster(threads=1)
@@ -74,6 +74,12 @@ def segment_on_table(
         in_threads(one, range(len(views)), threads=threads), never=never, threads=threads
     )
     return with_hidden(done, never, threads=threads) if others else done
+
+
+def well_within(candidate: Candidate) -> tuple[Array, NDArray[np.int64]]:
+    """The inner part of a candidate's coarse shape, which certainly belongs to the object."""
+    middle = (candidate.low + candidate.high) / 2
+    return middle + _INNER * (candidate.vertices - middle), candidate.faces
 
 
 def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
@@ -160,7 +166,8 @@ def consistent(
             hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
             maybe = dilated(inside, band) & ~hidden
             if never is not None:
-                maybe &= ~never[i]
+                # By chance the object has the colour of the table behind it: other photos decide.
+                maybe &= ~never[i] | eroded(inside, 4 * band)
             sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
             return view.with_mask(_grab_cut(view.image, maybe, sure), view.hidden)
 

@@ -40,6 +40,8 @@ class ScanOptions:
     revolve: bool = False
     """fit a surface of revolution to the outlines: for unsprayed vessels of glass or metal, without
     handles"""
+    category: str = "other"
+    """category of the object, which turns its frame: the handle of a "mug" is on the side of +x"""
     faces: Annotated[int, msgspec.Meta(ge=100, le=2_000_000)] = 20_000
     """number of faces of the mesh"""
     texture: Annotated[int, msgspec.Meta(ge=64, le=8192)] = 2048

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.log import logger
 from std_toolkit.scanning import candidates as standing
@@ -21,7 +21,14 @@ from std_toolkit.scanning import photos as photo_files
 from std_toolkit.scanning.bake import Texture, bake_texture
 from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine, DepthMap
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.masks import segment_by_border, segment_on_table, volume_of_masks
+from std_toolkit.scanning.masks import (
+    segment_by_border,
+    segment_on_table,
+    volume_of_masks,
+    well_within,
+)
+from std_toolkit.scanning.model_frame import find_symmetry, model_frame, write_symmetry
+from std_toolkit.scanning.object_checks import check_opaque
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.revolve import OutlineView, fit_revolution
@@ -102,8 +109,9 @@ def scan(options: ScanOptions) -> Scan:
     lap("texture")
     T_model_world = SE3.identity()
     if posed.on_table:
-        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        T_model_world = SE3(np.eye(3), -middle)
+        T_model_world = model_frame(vertices, faces, options.category)
+    symmetry, words = find_symmetry(T_model_world @ vertices, faces, texture)
+    lap("symmetry")
     result = Scan(
         name=options.out.resolve().name,
         vertices=T_model_world @ vertices,
@@ -111,11 +119,12 @@ def scan(options: ScanOptions) -> Scan:
         texture=texture,
         supported=support > _SUPPORTED,
         views=[replace(v, T_world_cam=T_model_world @ v.T_world_cam) for v in views],
-        facts=posed.facts,
+        facts={**posed.facts, **words},
         warnings=posed.warnings,
         seconds=seconds,
     )
     write_model(options.out, result.name, result.vertices, faces, texture)
+    write_symmetry(options.out, symmetry)
     write_report(options.out, result)
     lap("files")
     return result
@@ -131,6 +140,7 @@ class _Posed:
     warnings: list[str]
     digest: str
     photos: photo_files.Photos
+    found: dict[str, Array] = field(default_factory=dict)
 
 
 def _poses(
@@ -165,7 +175,7 @@ def _poses(
     kept = [i for i in range(len(found.paths)) if i not in set(blurred)]
     digest = digest_of(
         inputs, digest_file(options.board), options.intrinsics, options.max_features, found.factor,
-        kept,
+        kept, "poses 2",
     )  # fmt: skip
 
     def make() -> dict[str, Any]:
@@ -189,12 +199,16 @@ def _poses(
             "T": np.stack([T.matrix() for T in p.poses.values()]),
             "corners": p.corners,
             "points": p.points,
+            "found": np.concatenate(
+                [
+                    np.column_stack([np.full(len(d.uv), i), d.uv])
+                    for i, d in zip(kept, detections, strict=True)
+                ]
+            ),
             "quality": np.array([p.corner_rms_px, p.feature_rms_px, p.scale_deviation]),
         }
 
     a = stages.arrays("poses", digest, make)
-    from std_toolkit.geometry import Camera
-
     fx, fy, cx, cy, *k = (float(x) for x in a["camera"])
     camera = Camera(*found.size, fx, fy, cx, cy, tuple(k))
     views = [
@@ -221,7 +235,19 @@ def _poses(
     return _Posed(
         views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]),
         on_table=True, facts=facts, warnings=warnings, digest=digest, photos=found,
+        found=_undistorted(a["found"], found, camera),
     )  # fmt: skip
+
+
+def _undistorted(
+    found: Array, photos: photo_files.Photos, camera: Camera
+) -> dict[str, NDArray[np.float64]]:
+    """Corners of the board (N, 2) by the name of the photo, in pixels of its undistorted image."""
+    flat = camera.without_distortion()
+    return {
+        photos.paths[i].name: flat.project(camera.unproject(found[found[:, 0] == i, 1:]))
+        for i in np.unique(found[:, 0]).astype(int)
+    }
 
 
 def _fused(
@@ -283,7 +309,7 @@ def _masks(options: ScanOptions, posed: _Posed, stages: Stages, threads: int) ->
     own = _own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 4")
+    key = digest_of(posed.digest, options.pick, options.box, "masks 5")
 
     def make() -> dict[str, Any]:
         if not posed.on_table:
@@ -323,6 +349,8 @@ def _on_table(options: ScanOptions, posed: _Posed, threads: int) -> list[View]:
         except ToolkitError:
             _draw_candidates(options.out / "candidates.jpg", views, found)
             raise
+    if not options.revolve:
+        check_opaque(views, posed.found, *well_within(found[chosen]))
     return segment_on_table(views, found, chosen, compared, threads=threads)
 
 

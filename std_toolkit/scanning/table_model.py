@@ -23,6 +23,13 @@ _CLEAR = 14.0
 _DIFFERENT = 26.0
 # A cell whose photos differ more is no table at rest: a moving background, or the object.
 _LARGEST_SPREAD = 22.0
+# Share of the cells around the board that are at rest on a table, and are not around a turntable.
+_AT_REST = 0.6
+# Rings of cells by which the table is continued under the object, their width, the difference from
+# the colour beside them, and the share of the photos that must show it.
+_RINGS, _RING, _CONTINUED, _CONTINUED_SHARE = 16, 4, 20.0, 0.25
+# The continued table in parts of the brightness of the known one, and its deviation in hue.
+_DARKEST, _BRIGHTEST, _OTHER_HUE = 0.4, 1.15, 10.0
 # Sine of the angle below which the table is seen too flat to compare.
 _FLATTEST = 0.12
 
@@ -35,6 +42,7 @@ class TableModel:
         low: (2,) x and y of the first cell, metres.
         cell: size of a cell in metres.
         color: (h, w, 3) float32 median colour.
+        seen: (h, w) cells that enough photos show.
         known: (h, w) cells whose photos agree.
         gains: (V, 3) factor from the table's colours to those of each photo.
     """
@@ -42,6 +50,7 @@ class TableModel:
     low: Array
     cell: float
     color: NDArray[np.float32]
+    seen: Mask
     known: Mask
     gains: NDArray[np.float32]
 
@@ -61,8 +70,14 @@ class Comparison:
     known: Mask
 
 
-def model_table(views: Sequence[View], low: Array, high: Array) -> TableModel:
-    """Colours of the table between two corners (x, y), metres."""
+def model_table(views: Sequence[View], low: Array, high: Array, corners: Array) -> TableModel:
+    """Colours of the table between two corners (x, y), metres.
+
+    Args:
+        views: photos.
+        low, high: (2,) corners.
+        corners: (M, 3) corners of the board that photos show, world: they lie on the table.
+    """
     cell = max(_CELL_M, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
     w, h = (int(n) for n in np.ceil((high - low) / cell) + 1)
     y, x = np.mgrid[:h, :w]
@@ -90,8 +105,79 @@ def model_table(views: Sequence[View], low: Array, high: Array) -> TableModel:
             use = seen[i] & (spread < _LARGEST_SPREAD) & (color.min(axis=1) > 20)
             if use.sum() > 500:
                 gains[i] = np.median(samples[i][use] / color[use], axis=0)
-    known = (seen.sum(axis=0) >= _MIN_PHOTOS) & (spread < _LARGEST_SPREAD)
-    return TableModel(low, cell, color.reshape(h, w, 3), known.reshape(h, w), gains)
+    enough = (seen.sum(axis=0) >= _MIN_PHOTOS).reshape(h, w)
+    known = enough & (spread < _LARGEST_SPREAD).reshape(h, w)
+    colors = color.reshape(h, w, 3)
+    known = _of_the_table(known, (corners[:, :2] - low) / cell)
+    _continue(colors, known, samples.reshape(-1, h, w, 3), seen.reshape(-1, h, w), gains)
+    return TableModel(low, cell, colors, enough, known, gains)
+
+
+def _of_the_table(known: Mask, corners: Array) -> Mask:
+    """Parts that reach the border or hold a corner of the board.
+
+    The cells below an object of one colour have a median, too: that of the object.
+    """
+    _, labels = cv2.connectedComponents(known.astype(np.uint8))
+    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    h, w = known.shape
+    x, y = np.rint(corners.T).astype(np.int64)
+    inside = (x >= 0) & (y >= 0) & (x < w) & (y < h)
+    table = np.zeros(int(labels.max()) + 1, bool)
+    table[np.concatenate([border, labels[y[inside], x[inside]]])] = True
+    table[0] = False
+    return np.asarray(table[labels])
+
+
+def _continue(
+    color: NDArray[np.float32],
+    known: Mask,
+    samples: NDArray[np.uint8],
+    seen: Mask,
+    gains: NDArray[np.float32],
+) -> None:
+    """Continue a table under the object in place, from known cells inwards.
+
+    Beside an object, half of the photos show the object before the table, so the median is of no
+    use there. The photos that show about the colour of the nearest known cells show the table; it
+    may get darker towards the object, but not of another hue.
+    """
+    origin = color.copy()
+    for _ in range(_RINGS):
+        near = cv2.dilate(known.astype(np.uint8), np.ones((2 * _RING + 1,) * 2, np.uint8)) > 0
+        rows, columns = np.nonzero(near & ~known)
+        if len(rows) == 0:
+            return
+        # Beside tags, which are dark and bright by turns, the mean is no colour of the table.
+        weight = cv2.blur(known.astype(np.float32), (2 * _RING + 1,) * 2)
+        share = np.maximum(weight[rows, columns], 1e-6)[:, None]
+        expected, bare = (
+            cv2.blur(c * known[..., None], (2 * _RING + 1,) * 2)[rows, columns] / share
+            for c in (color, origin)
+        )
+        value = samples[:, rows, columns].astype(np.float32) / gains[:, None]
+        there = seen[:, rows, columns]
+        fits = there & (np.abs(value - expected).max(axis=-1) < _CONTINUED)
+        gain = value.mean(axis=-1) / np.maximum(bare.mean(axis=-1), 1)
+        hue = np.abs(value - gain[..., None] * bare).max(axis=-1)
+        fits &= (gain > _DARKEST) & (gain < _BRIGHTEST) & (hue < _OTHER_HUE)
+        count = fits.sum(axis=0)
+        enough = (count >= _MIN_PHOTOS) & (count >= _CONTINUED_SHARE * there.sum(axis=0))
+        mean = (value * fits[..., None]).sum(axis=0) / np.maximum(count, 1)[:, None]
+        off = np.abs(value - mean).max(axis=-1)
+        spread = (off * fits).sum(axis=0) / np.maximum(count, 1)
+        enough &= spread < _CONTINUED / 2
+        rows, columns = rows[enough], columns[enough]
+        if len(rows) == 0:
+            return
+        color[rows, columns] = mean[enough]
+        origin[rows, columns] = bare[enough]
+        known[rows, columns] = True
+
+
+def is_table(model: TableModel) -> bool:
+    """Whether most of what the photos show there is at rest, as it is not around a turntable."""
+    return bool(model.known.sum() > _AT_REST * model.seen.sum())
 
 
 def _median(
@@ -117,14 +203,24 @@ def _median(
     return color, spread
 
 
-def compare(view: View, table: TableModel, index: int) -> Comparison:
+def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
     """Where a photo shows the bare table and where something else.
 
     Args:
         view: the photo.
-        table: of `model_table` over all photos.
+        tables: of `model_table` over all photos; where several know a place, the first counts.
         index: index of the photo among them.
     """
+    first, *others = (_compare(view, table, index) for table in tables)
+    for c in others:
+        new = c.known & ~first.known
+        first = Comparison(
+            first.clear | (c.clear & new), first.different | (c.different & new), first.known | new
+        )
+    return first
+
+
+def _compare(view: View, table: TableModel, index: int) -> Comparison:
     h, w = view.image.shape[:2]
     c = view.camera
     u, v = np.meshgrid(np.arange(w), np.arange(h))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import write_png
-from std_toolkit.scanning.bake import Texture
+from std_toolkit.scanning.bake import Texture, vertex_colors
 from std_toolkit.scanning.views import Array
 
 
@@ -81,11 +81,7 @@ def _ply(vertices: Array, faces: NDArray[np.int64], texture: Texture) -> bytes:
     """PLY with vertex colours, closed as the mesh is."""
     import trimesh
 
-    size = texture.image.shape[0]
-    column = np.clip((texture.uv[..., 0] * size).astype(np.int64), 0, size - 1)
-    row = np.clip(((1 - texture.uv[..., 1]) * size).astype(np.int64), 0, size - 1)
-    color = np.full((len(vertices), 3), 128, np.uint8)
-    color[faces.ravel()] = texture.image[row, column].reshape(-1, 3)
+    color = vertex_colors(len(vertices), faces, texture)
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=color, process=False)
     data: Any = mesh.export(file_type="ply")
     return bytes(data)

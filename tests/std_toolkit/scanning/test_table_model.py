@@ -1,0 +1,61 @@
+"""The table behind and beside an object, from photos of a plain table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("manifold3d")
+
+from std_toolkit.geometry import Camera
+from std_toolkit.scanning.table_model import compare, model_table
+from std_toolkit.scanning.views import View
+from tests.std_toolkit.scanning.ball import look_at
+
+CAMERA = Camera(160, 120, 150, 150, 79.5, 59.5)
+TABLE, BOX = np.array([200.0, 195, 190]), np.array([90.0, 20, 20])
+CORNERS = np.array([[0.09, 0.09, 0.0], [-0.09, -0.09, 0.0]])
+HALF, HIGH = np.array([0.05, 0.015]), 0.1
+
+
+def photos_of_a_box(count: int = 12) -> list[View]:
+    """A dark box, wide one way, on a bright table."""
+    low, high = np.array([*-HALF, 0.0]), np.array([*HALF, HIGH])
+    views = []
+    for n in range(count):
+        a = 2 * np.pi * n / count
+        eye = np.array([0.35 * np.cos(a), 0.35 * np.sin(a), 0.2])
+        T = look_at(eye, np.array([0, 0, 0.04]))
+        rays = CAMERA.rays() @ T.R.T
+        with np.errstate(divide="ignore"):
+            ends = np.stack([(low - eye) / rays, (high - eye) / rays])
+        near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+        box = (near < far) & (far > 0)
+        image = np.where(box[..., None], BOX, np.where(rays[..., 2:] < 0, TABLE, 40.0))
+        views.append(View(f"{n}.png", image.astype(np.uint8), CAMERA, T, box))
+    return views
+
+
+@pytest.mark.slow
+def test_the_table_is_known_up_to_the_foot_of_the_object() -> None:
+    views = photos_of_a_box()
+    table = model_table(views, np.array([-0.2, -0.2]), np.array([0.2, 0.2]), CORNERS)
+    foot = np.round((np.array([0.0, HALF[1] + 0.008]) - table.low) / table.cell).astype(int)
+    assert table.known[foot[1], foot[0]]
+    assert np.allclose(table.color[foot[1], foot[0]], TABLE, atol=10)
+    for i, view in enumerate(views):
+        found = compare(view, [table], i)
+        assert view.mask is not None
+        assert not (found.clear & view.mask).any()
+        assert (found.clear[~view.mask & found.known]).mean() > 0.95
+
+
+@pytest.mark.slow
+def test_where_the_first_table_ends_the_second_is_compared() -> None:
+    views = photos_of_a_box()
+    near = model_table(views, np.array([-0.1, -0.1]), np.array([0.1, 0.1]), CORNERS)
+    far = model_table(views, np.array([-0.4, -0.4]), np.array([0.4, 0.4]), CORNERS)
+    alone, both = compare(views[0], [near], 0), compare(views[0], [near, far], 0)
+    assert both.known.sum() > 1.5 * alone.known.sum()
+    assert both.clear.sum() > 1.5 * alone.clear.sum()
+    assert both.different.sum() > alone.different.sum()
