@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from std_toolkit.rendering.render_step import render_ground_truth
     from std_toolkit.scene.scene import Scene
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "SE3",
