@@ -63,6 +63,9 @@ def flip_test(sums: Floats, seed: int = 0) -> float:
 
     Returns:
         The fraction of swaps, all or many random ones, whose sum is at least as large.
+
+    >>> flip_test(np.array([1.0, 2.0, 2.0]))
+    0.25
     """
     least = abs(sums.sum()) - _SLACK * np.abs(sums).sum()
     parts = list(_signs(len(sums), seed))
@@ -80,6 +83,9 @@ def flip_tests(values: Floats, scenes: ArrayLike, seed: int = 0) -> Floats:
 
     Returns:
         (M, M) symmetric; NaN on the diagonal, and for methods without a common frame.
+
+    Raises:
+        ToolkitError: a figure is infinite.
 
     >>> values = np.array([[1.0, 2.0], [2.0, 4.0], [3.0, 5.0]])
     >>> float(flip_tests(values, ["a", "b", "c"])[0, 1])

@@ -128,9 +128,10 @@ def run_jobs(
             bar.update()
             if outcome.error is not None:
                 failed += 1
+                # At once: the others may fail for the same reason, and it is time to stop.
+                bar.clear()
+                logger.error("%s: %s: %s", name, keys[index], outcome.error)
                 bar.set_postfix_str(f"{failed} failed")
-                if failed == 1:  # the others may fail for the same reason: time to stop
-                    logger.warning("%s: %s failed: %s", name, keys[index], outcome.error)
             now = time.monotonic()
             if options.progress and bar.disable and now - told >= _LINE_S:
                 told = now
@@ -151,7 +152,6 @@ def run_jobs(
         outcome = outcomes[index]
         if outcome.error is not None:
             report.failed[item_key] = outcome.error
-            logger.error("%s: %s: %s", name, item_key, outcome.error)
         else:
             report.results[item_key] = outcome.result  # type: ignore[assignment]
     return report

@@ -64,9 +64,15 @@ def largest_move(points: Floats, A: Floats, a: Floats) -> float:
 
 
 def largest_distance(points: Floats, P: Floats, p: Floats, Q: Floats, q: Floats) -> float:
-    """Largest distance, pixels; infinite where a point is not in front of the camera.
+    """Largest distance in the image between points under two projections.
 
-    Arguments as of `pinhole_distances`.
+    Args:
+        points: (3, V).
+        P, p: (3, 3) and (3,): P x + p is the homogeneous pixel of x; its third entry is the depth.
+        Q, q: of the other projection.
+
+    Returns:
+        Pixels; infinite where a point is not in front of the camera.
 
     >>> point, K = np.array([[0.0], [0.0], [1.0]]), np.diag([60.0, 60.0, 1.0])
     >>> aside = np.array([6.0, 0.0, 0.0])  # 0.1 m times the focal length
