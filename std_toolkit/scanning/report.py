@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,10 +27,8 @@ from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.scanning.bake import rendered
 from std_toolkit.scanning.depth_maps import hull_depth
+from std_toolkit.scanning.posed_photos import Scan
 from std_toolkit.scanning.views import View
-
-if TYPE_CHECKING:
-    from std_toolkit.scanning.scan_step import Scan
 
 _SHOWN = 8
 _WIDTH = 420

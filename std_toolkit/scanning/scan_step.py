@@ -4,33 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.log import logger
-from std_toolkit.scanning import candidates as standing
 from std_toolkit.scanning import photos as photo_files
-from std_toolkit.scanning.bake import Texture, bake_texture
+from std_toolkit.scanning.bake import bake_texture
 from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine, DepthMap
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.masks import (
-    segment_by_border,
-    segment_on_table,
-    volume_of_masks,
-    well_within,
-)
+from std_toolkit.scanning.masks import volume_of_masks
 from std_toolkit.scanning.model_frame import find_symmetry, model_frame, write_symmetry
-from std_toolkit.scanning.object_checks import check_opaque
+from std_toolkit.scanning.object_masks import object_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
+from std_toolkit.scanning.posed_photos import PosedPhotos, Scan
 from std_toolkit.scanning.revolve import OutlineView, fit_revolution
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
@@ -43,33 +36,6 @@ from std_toolkit.scene.document import digest_file, digest_of
 _DEEPEST = 0.3
 # Support of a face below which its place is a guess.
 _SUPPORTED = 0.3
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scan:
-    """A finished scan.
-
-    Attributes:
-        name: name of the model.
-        vertices: (V, 3) metres, frame of the model.
-        faces: (F, 3).
-        texture: its texture.
-        supported: (F,) faces that depth maps support; the others are from outlines alone.
-        views: photos with masks, in the frame of the model.
-        facts: name and value of what was measured.
-        warnings: sentences on what to do better.
-        seconds: time of each stage.
-    """
-
-    name: str
-    vertices: Array
-    faces: NDArray[np.int64]
-    texture: Texture
-    supported: NDArray[np.bool_]
-    views: Sequence[View]
-    facts: dict[str, Any]
-    warnings: list[str]
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 def scan(options: ScanOptions) -> Scan:
@@ -98,7 +64,7 @@ def scan(options: ScanOptions) -> Scan:
     inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
     posed = _poses(options, found, stages, work, inputs)
     lap("poses")
-    views = _masks(options, posed, stages, threads)
+    views = object_masks(options, posed, stages, threads)
     lap("masks")
     if options.revolve:
         vertices, faces, support = _revolved(views, posed)
@@ -130,27 +96,14 @@ def scan(options: ScanOptions) -> Scan:
     return result
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Posed:
-    views: list[View]
-    corners: Array
-    points: Array
-    on_table: bool
-    facts: dict[str, Any]
-    warnings: list[str]
-    digest: str
-    photos: photo_files.Photos
-    found: dict[str, Array] = field(default_factory=dict)
-
-
 def _poses(
     options: ScanOptions, found: photo_files.Photos, stages: Stages, work: Path, inputs: str
-) -> _Posed:
+) -> PosedPhotos:
     if options.known.cameras is not None:
         views = photo_files.known_views(found, options.known, options.intrinsics)
         digest = digest_of(inputs, [v.P.tolist() for v in views], list(found.size))
         facts = {"poses": f"from {options.known.cameras.name}", "photos": len(views)}
-        return _Posed(
+        return PosedPhotos(
             views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=False,
             facts=facts, warnings=[], digest=digest, photos=found,
         )  # fmt: skip
@@ -232,7 +185,7 @@ def _poses(
         "feature residual": f"{feature:.2f} px",
         "scale deviation": f"{100 * deviation:.3f} %",
     }
-    return _Posed(
+    return PosedPhotos(
         views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]),
         on_table=True, facts=facts, warnings=warnings, digest=digest, photos=found,
         found=_undistorted(a["found"], found, camera),
@@ -252,7 +205,7 @@ def _undistorted(
 
 def _fused(
     options: ScanOptions,
-    posed: _Posed,
+    posed: PosedPhotos,
     views: Sequence[View],
     engine: DepthEngine,
     stages: Stages,
@@ -285,7 +238,7 @@ def _fused(
 
 
 def _revolved(
-    views: Sequence[View], posed: _Posed
+    views: Sequence[View], posed: PosedPhotos
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.float32]]:
     """Vertices and faces of the surface of revolution that fits the outlines; no depth supports it.
 
@@ -302,123 +255,6 @@ def _revolved(
     posed.warnings.extend(found.warnings)
     vertices, faces = found.mesh()
     return vertices, faces, np.zeros(len(faces), np.float32)
-
-
-def _masks(options: ScanOptions, posed: _Posed, stages: Stages, threads: int) -> list[View]:
-    views = posed.views
-    own = _own_masks(options.masks, posed)
-    if len(own) == len(views):
-        return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 5")
-
-    def make() -> dict[str, Any]:
-        if not posed.on_table:
-            done = segment_by_border(views, threads=threads)
-        else:
-            done = _on_table(options, posed, threads)
-        out = {f"mask{i}": np.packbits(v.shown) for i, v in enumerate(done)}
-        for i, v in enumerate(done):
-            if v.hidden is not None:
-                out[f"hidden{i}"] = np.packbits(v.hidden)
-        return out
-
-    a = stages.arrays("masks", key, make)
-    done = []
-    for i, view in enumerate(views):
-        shape = view.image.shape[:2]
-        count = shape[0] * shape[1]
-        mask = np.unpackbits(a[f"mask{i}"], count=count).reshape(shape) > 0
-        hidden = None
-        if f"hidden{i}" in a:
-            hidden = np.unpackbits(a[f"hidden{i}"], count=count).reshape(shape) > 0
-        mask = own.get(view.name, mask)
-        done.append(view.with_mask(mask, hidden))
-    return [v for v in done if v.shown.any()]
-
-
-def _on_table(options: ScanOptions, posed: _Posed, threads: int) -> list[View]:
-    views = posed.views
-    pick, box = _pick(options, posed), _box(options, posed)
-    found, compared = standing.find_candidates(views, posed.corners, threads=threads)
-    clusters = standing.cluster_points(posed.points, views, pick=pick, box=box)
-    if clusters is not None:
-        found, chosen = clusters
-    else:
-        try:
-            chosen = standing.choose_candidate(found, views, pick=pick, box=box)
-        except ToolkitError:
-            _draw_candidates(options.out / "candidates.jpg", views, found)
-            raise
-    if not options.revolve:
-        check_opaque(views, posed.found, *well_within(found[chosen]))
-    return segment_on_table(views, found, chosen, compared, threads=threads)
-
-
-def _own_masks(folder: Path | None, posed: _Posed) -> dict[str, NDArray[np.bool_]]:
-    """Masks of the user by the name of the photo."""
-    if folder is None:
-        return {}
-    if not folder.is_dir():
-        raise ToolkitError("no such folder of masks", path=folder, field="--masks")
-    found = {}
-    for view in posed.views:
-        path = folder / f"{Path(view.name).stem}.png"
-        if path.is_file():
-            mask = read_mask(path)
-            h, w = view.image.shape[:2]
-            if mask.shape != (h, w):
-                mask = cv2.resize(mask, (w, h), interpolation=cv2.INTER_NEAREST)  # type: ignore[assignment]
-            found[view.name] = mask > 0
-    if not found:
-        raise ToolkitError(
-            "no mask is named as a photo", path=folder, hint=f"such as {posed.views[0].name}.png"
-        )
-    return found
-
-
-def _numbers(text: str, option: str, count: int, posed: _Posed) -> tuple[int, list[float]]:
-    name, _, rest = text.rpartition(":")
-    try:
-        values = [float(x) * posed.photos.factor for x in rest.split(",")]
-    except ValueError:
-        values = []
-    if not name or len(values) != count:
-        expected = "PHOTO:x,y" if count == 2 else "PHOTO:x0,y0,x1,y1"
-        raise ToolkitError(f"expected {expected}", field=option, value=text)
-    wanted = posed.photos.paths[posed.photos.index_of(name, option)].name
-    for i, view in enumerate(posed.views):
-        if view.name == wanted:
-            return i, values
-    raise ToolkitError("this photo has no camera pose", field=option, value=name)
-
-
-def _pick(options: ScanOptions, posed: _Posed) -> tuple[int, float, float] | None:
-    if options.pick is None:
-        return None
-    i, (x, y) = _numbers(options.pick, "--pick", 2, posed)
-    return i, x, y
-
-
-def _box(options: ScanOptions, posed: _Posed) -> tuple[int, float, float, float, float] | None:
-    if options.box is None:
-        return None
-    i, (x0, y0, x1, y1) = _numbers(options.box, "--box", 4, posed)
-    return i, x0, y0, x1, y1
-
-
-def _draw_candidates(path: Path, views: Sequence[View], candidates: Sequence[Any]) -> None:
-    view = max(views, key=lambda v: float(v.centre[2]))
-    image = view.image.copy()
-    for n, c in enumerate(candidates):
-        uv, _ = view.project(c.vertices)
-        uv = uv[np.isfinite(uv).all(axis=1)]
-        if len(uv):
-            x0, y0, x1, y1 = (int(v) for v in (*uv.min(axis=0), *uv.max(axis=0)))
-            cv2.rectangle(image, (x0, y0), (x1, y1), (255, 60, 0), 2)
-            cv2.putText(image, f"{n + 1}", (x0, y0 - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.8,
-                        (255, 60, 0), 2)  # fmt: skip
-    cv2.putText(image, view.name, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 60, 0), 2)
-    write_color(path, image)
 
 
 def _mask_digest(views: Sequence[View]) -> str:

@@ -19,7 +19,7 @@ from std_toolkit.io.images import read_color, write_color, write_png
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.board_scale import BoardDetection
-from std_toolkit.scanning import scan_step
+from std_toolkit.scanning import object_masks, scan_step
 from std_toolkit.scanning.board_poses import board_pose, calibrate, check_boards
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos import blurred_photos
@@ -75,7 +75,7 @@ def test_a_painted_ball_is_scanned_and_the_scan_resumes(
         raise AssertionError("made again although nothing changed")
 
     monkeypatch.setattr(scan_step.ENGINES, "get", lambda _: never)
-    monkeypatch.setattr(scan_step, "segment_by_border", never)
+    monkeypatch.setattr(object_masks, "segment_by_border", never)
     again = scan_step.scan(options_for(tmp_path))
     assert np.array_equal(again.vertices, done.vertices)
 
@@ -153,7 +153,7 @@ def test_the_board_gives_intrinsics_and_poses() -> None:
 def test_a_ball_is_a_surface_of_revolution() -> None:
     shift = SE3(np.eye(3), np.array([0, 0, RADIUS - CENTRE[2]]))
     views = [replace(v, T_world_cam=shift @ v.T_world_cam) for v in ball_views(12)]
-    posed = scan_step._Posed(
+    posed = scan_step.PosedPhotos(
         views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=True, facts={},
         warnings=[], digest="", photos=scan_step.photo_files.Photos((), (), (160, 120), 1.0),
     )  # fmt: skip

@@ -1,0 +1,152 @@
+"""Masks of the object in the photos: the user's, or found on the table or before the border."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.images import read_mask, write_color
+from std_toolkit.scanning import candidates as standing
+from std_toolkit.scanning.masks import segment_by_border, segment_on_table, well_within
+from std_toolkit.scanning.object_checks import check_opaque
+from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.posed_photos import PosedPhotos
+from std_toolkit.scanning.stages import Stages
+from std_toolkit.scanning.views import View
+from std_toolkit.scene.document import digest_of
+
+
+def object_masks(
+    options: ScanOptions, posed: PosedPhotos, stages: Stages, threads: int
+) -> list[View]:
+    """Views with the mask of the object; views that do not show it are left out.
+
+    Args:
+        options: `masks`, `pick`, `box` and `revolve` are used; the user's masks take precedence.
+        posed: the photos.
+        stages: keeps the masks.
+        threads: to use.
+
+    Raises:
+        ToolkitError: several objects or none, masks that fit no photo, or a transparent object.
+    """
+    views = posed.views
+    own = _own_masks(options.masks, posed)
+    if len(own) == len(views):
+        return [v.with_mask(own[v.name]) for v in views]
+    key = digest_of(posed.digest, options.pick, options.box, "masks 5")
+
+    def make() -> dict[str, Any]:
+        if not posed.on_table:
+            done = segment_by_border(views, threads=threads)
+        else:
+            done = _on_table(options, posed, threads)
+        out = {f"mask{i}": np.packbits(v.shown) for i, v in enumerate(done)}
+        for i, v in enumerate(done):
+            if v.hidden is not None:
+                out[f"hidden{i}"] = np.packbits(v.hidden)
+        return out
+
+    a = stages.arrays("masks", key, make)
+    done = []
+    for i, view in enumerate(views):
+        shape = view.image.shape[:2]
+        count = shape[0] * shape[1]
+        mask = np.unpackbits(a[f"mask{i}"], count=count).reshape(shape) > 0
+        hidden = None
+        if f"hidden{i}" in a:
+            hidden = np.unpackbits(a[f"hidden{i}"], count=count).reshape(shape) > 0
+        mask = own.get(view.name, mask)
+        done.append(view.with_mask(mask, hidden))
+    return [v for v in done if v.shown.any()]
+
+
+def _on_table(options: ScanOptions, posed: PosedPhotos, threads: int) -> list[View]:
+    views = posed.views
+    pick, box = _pick(options, posed), _box(options, posed)
+    found, compared = standing.find_candidates(views, posed.corners, threads=threads)
+    clusters = standing.cluster_points(posed.points, views, pick=pick, box=box)
+    if clusters is not None:
+        found, chosen = clusters
+    else:
+        try:
+            chosen = standing.choose_candidate(found, views, pick=pick, box=box)
+        except ToolkitError:
+            _draw_candidates(options.out / "candidates.jpg", views, found)
+            raise
+    if not options.revolve:
+        check_opaque(views, posed.found, *well_within(found[chosen]))
+    return segment_on_table(views, found, chosen, compared, threads=threads)
+
+
+def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.bool_]]:
+    """Masks of the user by the name of the photo."""
+    if folder is None:
+        return {}
+    if not folder.is_dir():
+        raise ToolkitError("no such folder of masks", path=folder, field="--masks")
+    found = {}
+    for view in posed.views:
+        path = folder / f"{Path(view.name).stem}.png"
+        if path.is_file():
+            mask = read_mask(path)
+            h, w = view.image.shape[:2]
+            if mask.shape != (h, w):
+                mask = cv2.resize(mask, (w, h), interpolation=cv2.INTER_NEAREST)  # type: ignore[assignment]
+            found[view.name] = mask > 0
+    if not found:
+        raise ToolkitError(
+            "no mask is named as a photo", path=folder, hint=f"such as {posed.views[0].name}.png"
+        )
+    return found
+
+
+def _numbers(text: str, option: str, count: int, posed: PosedPhotos) -> tuple[int, list[float]]:
+    name, _, rest = text.rpartition(":")
+    try:
+        values = [float(x) * posed.photos.factor for x in rest.split(",")]
+    except ValueError:
+        values = []
+    if not name or len(values) != count:
+        expected = "PHOTO:x,y" if count == 2 else "PHOTO:x0,y0,x1,y1"
+        raise ToolkitError(f"expected {expected}", field=option, value=text)
+    wanted = posed.photos.paths[posed.photos.index_of(name, option)].name
+    for i, view in enumerate(posed.views):
+        if view.name == wanted:
+            return i, values
+    raise ToolkitError("this photo has no camera pose", field=option, value=name)
+
+
+def _pick(options: ScanOptions, posed: PosedPhotos) -> tuple[int, float, float] | None:
+    if options.pick is None:
+        return None
+    i, (x, y) = _numbers(options.pick, "--pick", 2, posed)
+    return i, x, y
+
+
+def _box(options: ScanOptions, posed: PosedPhotos) -> tuple[int, float, float, float, float] | None:
+    if options.box is None:
+        return None
+    i, (x0, y0, x1, y1) = _numbers(options.box, "--box", 4, posed)
+    return i, x0, y0, x1, y1
+
+
+def _draw_candidates(path: Path, views: Sequence[View], candidates: Sequence[Any]) -> None:
+    view = max(views, key=lambda v: float(v.centre[2]))
+    image = view.image.copy()
+    for n, c in enumerate(candidates):
+        uv, _ = view.project(c.vertices)
+        uv = uv[np.isfinite(uv).all(axis=1)]
+        if len(uv):
+            x0, y0, x1, y1 = (int(v) for v in (*uv.min(axis=0), *uv.max(axis=0)))
+            cv2.rectangle(image, (x0, y0), (x1, y1), (255, 60, 0), 2)
+            cv2.putText(image, f"{n + 1}", (x0, y0 - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.8,
+                        (255, 60, 0), 2)  # fmt: skip
+    cv2.putText(image, view.name, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 60, 0), 2)
+    write_color(path, image)
