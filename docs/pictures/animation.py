@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from annotating import camera_of, display_server, middle_of, record
+from annotating import OPTIONS, camera_of, display_server, middle_of, record
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -73,25 +73,11 @@ class Film:
 def label(work: Path, truth: Truth) -> None:
     """Drop, drag, turn, refine, and step through the frames."""
     from PySide6.QtCore import QPoint, Qt
-    from PySide6.QtTest import QTest
-    from window_hands import Hands
+    from window_hands import at_scene
 
-    from annotator.qt.main_window import Shell
-    from annotator.qt.qt_app import make_application
-
-    make_application()
-    shell = Shell(annotator="mk")
-    shell.resize(1280, 720)
-    shell.show()
-    shell.activateWindow()
-    QTest.qWait(500)
-    assert shell.open_scene(work / "scene", recover="no")
-    hand = Hands(shell)
-    hand.settle()
+    hand = at_scene(work / "scene")
     mesh = work / "recording" / "printed" / f"{NAME}.glb"
     mesh.parent.mkdir(exist_ok=True)
-    from annotating import OPTIONS
-
     printed_meshes(OPTIONS)[NAME].export(mesh)
     hand.drop_files([mesh])
     c = hand.controller
@@ -130,7 +116,7 @@ def label(work: Path, truth: Truth) -> None:
         film.take(2 * SHORT_MS)
     film.take(LONG_MS)
     film.save(PICTURE)
-    shell.leave_scene()
+    hand.shell.leave_scene()
 
 
 if __name__ == "__main__":

@@ -62,28 +62,16 @@ def record(work: Path) -> Truth:
 
 def label(work: Path, truth: Truth) -> None:
     """What the guide describes, in the real window."""
-    from PySide6.QtTest import QTest
-    from window_hands import Hands
+    from window_hands import at_scene
 
-    from annotator.qt.main_window import Shell
-    from annotator.qt.qt_app import make_application
-
-    make_application()
-    shell = Shell(annotator="mk")
-    shell.resize(1280, 720)
-    shell.show()
-    shell.activateWindow()
-    QTest.qWait(500)
-    assert shell.open_scene(work / "scene", recover="no")
-    hand = Hands(shell)
-    hand.settle()
+    hand = at_scene(work / "scene")
     place(hand, work / "recording", truth)
     red = push_into_each_other(hand)
     refine(hand)
     judge(hand, red)
     click_points(hand)
     hand.controller.session.save()
-    shell.leave_scene()
+    hand.shell.leave_scene()
 
 
 def place(hand: Hands, recording: Path, truth: Truth) -> None:

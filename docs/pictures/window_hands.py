@@ -26,6 +26,22 @@ def let_work(milliseconds: int) -> None:
     loop.exec()
 
 
+def at_scene(scene: Path) -> Hands:
+    """Hands at a new window that shows a scene."""
+    from annotator.qt.qt_app import make_application
+
+    make_application()
+    shell = Shell(annotator="mk")
+    shell.resize(1280, 720)
+    shell.show()
+    shell.activateWindow()
+    QTest.qWait(500)
+    assert shell.open_scene(scene, recover="no")
+    hand = Hands(shell)
+    hand.settle()
+    return hand
+
+
 class Hands:
     """Hands at a window.
 

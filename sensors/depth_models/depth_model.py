@@ -44,12 +44,12 @@ class Illumination:
 
     Attributes:
         ambient: strength of the environment's light.
-        power: of the camera's own light, in units of the simulator.
+        factor: strength of the camera's own light, 1 as specified.
         pattern_seed: of the projected pattern, which the views of a scene share.
     """
 
     ambient: float
-    power: float
+    factor: float
     pattern_seed: int
 
 

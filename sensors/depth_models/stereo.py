@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.depth_models.depth_model import DepthModelOptions, Illumination, Reading
+from sensors.lighting.light_draw import PROJECTOR_POWER
 from sensors.pattern import DotPattern, load_pattern, make_pattern
 from sensors.render import infrared_image, sim_scene
 from sensors.render.sim_renderer import LoadedScene, RenderOptions
@@ -75,7 +76,7 @@ class ActiveStereo:
                 pattern.image,
                 pattern.fov_x_deg,
                 T_world_ir @ self._sensor.projector.T_ir_projector,
-                power=light.power,
+                power=PROJECTOR_POWER * light.factor,
             )
         T_left_right = SE3(np.eye(3), np.array([self._sensor.baseline_m, 0.0, 0.0]))
         return loaded.infrared_pair(

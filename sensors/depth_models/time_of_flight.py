@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.depth_models.depth_model import DepthModelOptions, Illumination, Reading
-from sensors.lighting.light_draw import PROJECTOR_POWER
 from sensors.render import sim_scene
 from sensors.render.sim_renderer import LoadedScene, RenderOptions
 from sensors.specs import SensorSpec, TimeOfFlightSpec
@@ -87,7 +86,7 @@ class TimeOfFlight:
             np.ones((max(2, round(_SIDE * down / across)), _SIDE), np.float32),
             self._spec.illumination_deg[0],
             T_world_ir @ SE3(np.eye(3), np.array(self._spec.illuminator_m)),
-            power=light.power / PROJECTOR_POWER / _WHITE,
+            power=light.factor / _WHITE,
         )
         measure = getattr(loaded, "phasors", None)
         if measure is None:
@@ -121,8 +120,7 @@ class TimeOfFlight:
 
     def _depth(self, path_m: Array) -> Array:
         """z-depth (h, w) of points whose path from the light to the camera has this length."""
-        rays = self.camera.unproject(self.camera.pixel_grid().reshape(-1, 2))
-        rays = (rays / rays[:, 2:]).reshape(*path_m.shape, 3)
+        rays = self.camera.rays()
         stretch = np.linalg.norm(rays, axis=-1)
         light = np.array(self._spec.illuminator_m)
         # |p| + |p - light| = path, with p = range * ray / stretch.

@@ -14,6 +14,7 @@ from sensors.render.sim_renderer import DRAFT_COLOR, DRAFT_INFRARED, ColorLight,
 from sensors.render.sim_scene import Projector, SimScene
 from sensors.render.variant import choose_variant
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import z_to_distance
 from std_toolkit.rendering.renderer import check_no_distortion
 
 if TYPE_CHECKING:
@@ -285,8 +286,7 @@ class MitsubaScene:
             )
             # Relative to the phase of the surface in view, the phases vary slowly.
             z, _ = tracer.first_hits(camera, T_world_cam)
-            rays = camera.unproject(camera.pixel_grid().reshape(-1, 2)).reshape(*z.shape, 3)
-            there_and_back = 2 * z * np.linalg.norm(rays / rays[..., 2:], axis=-1)
+            there_and_back = 2 * z_to_distance(z, camera)
             turns = np.exp(-1j * np.array(waves)[:, None, None] * there_and_back)
             late = np.stack(
                 [

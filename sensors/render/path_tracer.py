@@ -127,12 +127,7 @@ class PathTracer:
         )[0]
         chunk = options.chunk or options.samples
         parts = [(light.x + light.y + light.z) / 3] if grey else [light.x, light.y, light.z]
-        dr.eval(*parts)  # together: separately, every sum would run the whole kernel
-        sums = [dr.block_sum(part, chunk) for part in parts]
-        dr.eval(*sums)
-        shape = (-1, camera.width, count // chunk)
-        means = [np.array(s).reshape(shape) / np.float32(chunk) for s in sums]
-        return np.stack(means, axis=-1)
+        return np.stack(_means(parts, chunk, (-1, camera.width, count // chunk)), axis=-1)
 
     def phasors(
         self,
@@ -171,11 +166,7 @@ class PathTracer:
             [_data(wave) for wave in waves],
         )
         parts = [*real, *imaginary, (light.x + light.y + light.z) / 3]
-        dr.eval(*parts)
-        sums = [dr.block_sum(part, count) for part in parts]
-        dr.eval(*sums)
-        shape = (len(sums), camera.height, camera.width)
-        means = np.stack([np.array(s) for s in sums]).reshape(shape) / np.float32(count)
+        means = np.stack(_means(parts, count, (camera.height, camera.width)))
         real, imaginary = means[: len(waves)], means[len(waves) : -1]
         return np.asarray(real + 1j * imaginary, np.complex64), means[-1]
 
@@ -188,11 +179,7 @@ class PathTracer:
         """
         ray, count = self._rays(camera, T_world_cam, samples, seed)
         albedo, normal = path_loops.features(self._shapes, self._glass, ray)
-        dr.eval(albedo, normal)
-        sums = [dr.block_sum(v, count) for v in (*albedo, *normal)]
-        dr.eval(*sums)
-        shape = (-1, camera.width)
-        maps = np.stack([np.array(s).reshape(shape) for s in sums], axis=-1) / np.float32(count)
+        maps = np.stack(_means([*albedo, *normal], count, (-1, camera.width)), axis=-1)
         return np.ascontiguousarray(maps[..., :3]), np.ascontiguousarray(maps[..., 3:])
 
     def first_hits(
@@ -268,6 +255,14 @@ class PathTracer:
             _data(projector.power),
             _data(weight / (1 + weight)),
         )
+
+
+def _means(parts: list[Any], count: int, shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
+    """Mean of every `count` consecutive numbers of each part, float32 of a shape."""
+    dr.eval(*parts)  # together: separately, every sum would run the whole kernel
+    sums = [dr.block_sum(part, count) for part in parts]
+    dr.eval(*sums)
+    return [np.array(s, np.float32).reshape(shape) / np.float32(count) for s in sums]
 
 
 def _camera_rays(camera: Camera, T_world_cam: SE3, x: Any, y: Any) -> Any:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from sensors.align import align_depth
 from sensors.depth_models import Illumination, Reading
-from sensors.lighting.light_draw import PROJECTOR_POWER
 from sensors.output.simulated_frame import SimulatedFrame
 from sensors.render import color_image, sim_renderer, sim_scene
 from sensors.simulation.equipment import DRESSED_AS, Equipment
@@ -178,7 +177,7 @@ class Simulator:
                 T_world_ir,
                 Illumination(
                     ambient=light.infrared_strength,
-                    power=PROJECTOR_POWER * light.projector_factor,
+                    factor=light.projector_factor,
                     pattern_seed=world.draw.pattern_seed,
                 ),
                 options=self._quality.infrared,

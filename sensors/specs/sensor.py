@@ -188,7 +188,7 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
         It has that size where the aspect ratio exists, as in stereo cameras. Otherwise it is the
         smallest listed one that is not narrower, or the widest.
         """
-        if any(abs(m.width * height / (m.height * width) - 1) < SAME_ASPECT for m in self.infrared):
+        if _of_aspect(self.infrared, width, height):
             return self.infrared_camera(width, height)
         wide = [m for m in self.infrared if m.width >= width]
         chosen = (
@@ -243,9 +243,7 @@ def camera_of_size(models: list[CameraModel], width: int, height: int, field: st
     for model in models:
         if (model.width, model.height) == (width, height):
             return model.camera()
-    alike = [
-        m for m in models if abs(m.width * height / (m.height * width) - 1) < SAME_ASPECT
-    ]  # fmt: skip
+    alike = _of_aspect(models, width, height)
     if not alike:
         raise ToolkitError(
             "no image of this shape",
@@ -255,6 +253,10 @@ def camera_of_size(models: list[CameraModel], width: int, height: int, field: st
             "or any other size of the same aspect ratio",
         )
     return max(alike, key=lambda m: m.width).camera().resized(width, height)
+
+
+def _of_aspect(models: list[CameraModel], width: int, height: int) -> list[CameraModel]:
+    return [m for m in models if abs(m.width * height / (m.height * width) - 1) < SAME_ASPECT]
 
 
 def figures(spec: SensorSpec) -> list[str]:

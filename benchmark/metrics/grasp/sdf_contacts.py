@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 NODES = 100
-# The longest extent of the mesh covers so many cells.
+# Number of cells across the longest side of the mesh.
 _EXTENT_CELLS = 90
 # Points nearer than this many cells are on the surface.
 _ON_SURFACE = np.sqrt(2) / 2

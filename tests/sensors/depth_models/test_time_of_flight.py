@@ -9,7 +9,6 @@ import pytest
 
 from sensors.depth_models import DepthModelOptions, Illumination, make_depth_model
 from sensors.depth_models.time_of_flight import LIGHT_M_S, unwrap, with_phasor_noise
-from sensors.lighting.light_draw import PROJECTOR_POWER
 from sensors.specs import load_sensor
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -124,7 +123,7 @@ def test_a_corner_and_glass_lengthen_the_path() -> None:
         pytest.skip("no compiler for Mitsuba here; tools/system-libraries simulator installs it")
     scene, T = smallest_scene(), looking_down(0.8)
     loaded = MitsubaRenderer(variant=variant, check=False).load(scene)
-    light = Illumination(ambient=0.2, power=PROJECTOR_POWER, pattern_seed=0)
+    light = Illumination(ambient=0.2, factor=1.0, pattern_seed=0)
     options = DepthModelOptions(width=320, height=180)
     model = make_depth_model(KINECT, options)
     received = model.look(loaded, T, light, options=DRAFT_INFRARED, seed=0)
