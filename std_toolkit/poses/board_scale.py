@@ -17,6 +17,7 @@ from std_toolkit.io.images import read_color
 from std_toolkit.jobs import run_jobs
 from std_toolkit.poses.known_points import KnownView, scale_from_known_points
 from std_toolkit.poses.scale_sources import ScaleContext
+from std_toolkit.poses.tag_edges import edge_corners
 from std_toolkit.scene.model import ScaleEstimate
 
 MAX_FRAMES = 60
@@ -140,7 +141,7 @@ class BoardScale:
 
 
 def detect_board(path: Path | str, *, board: Board) -> BoardDetection:
-    """Find the corners of a board in an image file, refined to sub-pixel positions."""
+    """Find the corners of a board in an image file, at sub-pixel positions."""
     grey = np.asarray(cv2.cvtColor(read_color(path), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
     if board.charuco is not None:
         return _detect_charuco(grey, board)
@@ -156,7 +157,7 @@ def detect_board(path: Path | str, *, board: Board) -> BoardDetection:
     return BoardDetection(
         ids=np.concatenate([np.arange(4) + 4 * i for i, _ in found]),
         xyz=np.concatenate([np.array(known[i]) for i, _ in found]),
-        uv=np.concatenate([c for _, c in found]).astype(np.float64),
+        uv=edge_corners(grey, np.stack([c for _, c in found])).reshape(-1, 2),
     )
 
 

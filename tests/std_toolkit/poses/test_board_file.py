@@ -39,9 +39,7 @@ def test_tag_corners_in_order_and_at_pixel_centres(tmp_path: Path) -> None:
     (tmp_path / "board.json").write_text(json.dumps({**board, "tag_size_mm": 120}))
     found = detect_board(tmp_path / "a.png", board=Board.read(tmp_path / "board.json"))
     assert len(found.ids) == 12 and len(set(found.ids.tolist())) == 12
-    assert (
-        np.abs(found.uv - found.xyz[:, :2] * 1000).max() < 0.25
-    )  # corner refinement on L-shaped corners pulls inwards a little
+    assert np.abs(found.uv - found.xyz[:, :2] * 1000).max() < 0.02
 
 
 def test_tags_that_are_not_on_the_board_are_ignored(tmp_path: Path) -> None:

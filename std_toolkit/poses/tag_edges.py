@@ -1,0 +1,128 @@
+"""Corners of square tags as intersections of their edges.
+
+Corner refinement settles inside the dark border of a blurred tag, by more than half a pixel on a
+photo of a hand-held camera. The size of the board then seems too small against the distances of its
+tags. The steepest place across a straight edge is not moved by a blur, and a whole edge of places
+fits one line.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Part of an edge at either end that the neighbouring edge disturbs.
+_ENDS = 0.14
+# Reach of the search across an edge, in cells of the tag and in pixels, and its step.
+_REACH_CELLS, _REACH_PX, _STEP_PX = 0.8, 5.0, 0.2
+_SMALLEST_REACH_PX = 1.5
+# Cells of an AprilTag of the family 36h11 across; families with fewer have larger ones.
+_CELLS = 8
+# Grey values per pixel below which there is no edge.
+_FAINTEST = 4.0
+_MOST_SAMPLES = 60
+_LEAST_SAMPLES = 6
+# A place further from the line of its edge, or a corner that moves further, is something else.
+_OFF_LINE_PX = 0.6
+_ROUNDS = 2
+
+
+def edge_corners(grey: NDArray[np.uint8], corners: Array) -> Array:
+    """Corners of tags, refined by lines through their edges.
+
+    Args:
+        grey: (H, W) image.
+        corners: (N, 4, 2) pixels in the order of OpenCV, around each tag, to within about a cell.
+
+    Returns:
+        (N, 4, 2) pixels, pixel centres at integers. A corner beside an edge that is not seen keeps
+        its place.
+    """
+    # Light adds up in a blur, coded values do not: their steepest place is nearer to the black.
+    light = (255 * (grey / 255.0) ** 2.2).astype(np.float32)
+    image = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.7), np.float32)
+    refined = np.array(corners, np.float64)
+    for n in range(len(refined)):
+        for _ in range(_ROUNDS):
+            refined[n] = _refined(image, refined[n], np.asarray(corners[n], np.float64))
+    return refined
+
+
+def _refined(image: NDArray[np.float32], quad: Array, first: Array) -> Array:
+    """(4, 2) corners of one tag from lines beside the sides of `quad`."""
+    side = float(np.linalg.norm(np.roll(quad, -1, axis=0) - quad, axis=1).min())
+    reach = float(np.clip(_REACH_CELLS * side / _CELLS, _SMALLEST_REACH_PX, _REACH_PX))
+    lines = [_edge_line(image, quad[k], quad[(k + 1) % 4], quad.mean(axis=0), reach)
+             for k in range(4)]  # fmt: skip
+    out = quad.copy()
+    for k in range(4):
+        before, after = lines[k - 1], lines[k]
+        if before is None or after is None:
+            continue
+        # Lines as n . p = c.
+        normals = np.stack([before[:2], after[:2]])
+        if abs(np.linalg.det(normals)) < 0.15:
+            continue
+        point = np.linalg.solve(normals, [before[2], after[2]])
+        if np.linalg.norm(point - first[k]) < reach:
+            out[k] = point
+    return out
+
+
+def _edge_line(
+    image: NDArray[np.float32], a: Array, b: Array, middle: Array, reach: float
+) -> Array | None:
+    """(nx, ny, c) of the line n . p = c along the edge from a to b; None if it is not seen."""
+    along = b - a
+    length = float(np.linalg.norm(along))
+    if length < 2 * _LEAST_SAMPLES:
+        return None
+    along /= length
+    out = np.array([along[1], -along[0]])
+    if out @ (a - middle) < 0:
+        out = -out
+    count = int(np.clip(length * (1 - 2 * _ENDS), _LEAST_SAMPLES, _MOST_SAMPLES))
+    s = np.linspace(_ENDS * length, (1 - _ENDS) * length, count)
+    t = np.arange(-reach - _STEP_PX, reach + 1.5 * _STEP_PX, _STEP_PX)
+    p = a + s[:, None, None] * along + t[None, :, None] * out
+    h, w = image.shape
+    inside = ((p > 1) & (p < np.array([w, h]) - 2)).all(axis=(1, 2))
+    if inside.sum() < _LEAST_SAMPLES:
+        return None
+    p = p[inside].astype(np.float32)
+    profile = cv2.remap(image, p[..., 0], p[..., 1], cv2.INTER_CUBIC)
+    # The paper around a tag is bright: only a rise outwards is its edge.
+    slope = np.asarray((profile[:, 2:] - profile[:, :-2]) / (2 * _STEP_PX), np.float64)
+    top = np.clip(slope.argmax(axis=1), 1, slope.shape[1] - 2)
+    row = np.arange(len(slope))
+    left, peak, right = (slope[row, top + k] for k in (-1, 0, 1))
+    bend = left - 2 * peak + right
+    shift = np.where(bend < -1e-6, 0.5 * (left - right) / np.minimum(bend, -1e-6), 0)
+    good = (peak > _FAINTEST) & (np.abs(shift) <= 1) & (slope.argmax(axis=1) == top)
+    if good.sum() < _LEAST_SAMPLES:
+        return None
+    points = (
+        a
+        + s[inside][good][:, None] * along
+        + (t[1:-1][top[good]] + shift[good] * _STEP_PX)[:, None] * out
+    )
+    return _line(points, out)
+
+
+def _line(points: Array, out: Array) -> Array | None:
+    """(nx, ny, c) of the line that most of the points (N, 2) are on."""
+    kept = np.ones(len(points), bool)
+    for _ in range(4):
+        middle = points[kept].mean(axis=0)
+        normal = np.linalg.svd(points[kept] - middle, full_matrices=False)[2][1]
+        off = np.abs((points - middle) @ normal)
+        limit = max(_OFF_LINE_PX / 2, 2.5 * float(np.median(off[kept])))
+        kept = off < min(limit, 4 * _OFF_LINE_PX)
+        if kept.sum() < _LEAST_SAMPLES:
+            return None
+    if float(np.median(off[kept])) > _OFF_LINE_PX or abs(normal @ out) < 0.9:
+        return None
+    return np.array([*normal, float(normal @ middle)])
