@@ -25,6 +25,8 @@ _CELLS = 8
 _FAINTEST = 4.0
 _MOST_SAMPLES = 60
 _LEAST_SAMPLES = 6
+# Share of an edge that must be seen, so that its ends are not far from what is.
+_LEAST_SHARE = 0.5
 # A place further from the line of its edge, or a corner that moves further, is something else.
 _OFF_LINE_PX = 0.6
 _ROUNDS = 2
@@ -102,7 +104,7 @@ def _edge_line(
     bend = left - 2 * peak + right
     shift = np.where(bend < -1e-6, 0.5 * (left - right) / np.minimum(bend, -1e-6), 0)
     good = (peak > _FAINTEST) & (np.abs(shift) <= 1) & (slope.argmax(axis=1) == top)
-    if good.sum() < _LEAST_SAMPLES:
+    if good.sum() < max(_LEAST_SAMPLES, _LEAST_SHARE * count):
         return None
     points = (
         a

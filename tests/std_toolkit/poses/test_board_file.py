@@ -34,12 +34,13 @@ def tag_image(ids: list[int], size: int = 120, gap: int = 40) -> tuple[np.ndarra
 
 def test_tag_corners_in_order_and_at_pixel_centres(tmp_path: Path) -> None:
     image, board = tag_image([3, 17, 5])
-    image = cv2.GaussianBlur(image, (0, 0), 1.0)
-    write_color(tmp_path / "a.png", image)
+    # A lens blurs light, not coded values.
+    light = cv2.GaussianBlur((image / 255).astype(np.float32), (0, 0), 1.0)
+    write_color(tmp_path / "a.png", (255 * light ** (1 / 2.2)).astype(np.uint8))
     (tmp_path / "board.json").write_text(json.dumps({**board, "tag_size_mm": 120}))
     found = detect_board(tmp_path / "a.png", board=Board.read(tmp_path / "board.json"))
     assert len(found.ids) == 12 and len(set(found.ids.tolist())) == 12
-    assert np.abs(found.uv - found.xyz[:, :2] * 1000).max() < 0.02
+    assert np.abs(found.uv - found.xyz[:, :2] * 1000).max() < 0.05
 
 
 def test_tags_that_are_not_on_the_board_are_ignored(tmp_path: Path) -> None:
