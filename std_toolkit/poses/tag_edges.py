@@ -11,6 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, spline_filter
 
 Array = NDArray[np.float64]
 
@@ -45,7 +46,8 @@ def edge_corners(grey: NDArray[np.uint8], corners: Array) -> Array:
     """
     # Light adds up in a blur, coded values do not: their steepest place is nearer to the black.
     light = (255 * (grey / 255.0) ** 2.2).astype(np.float32)
-    image = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.7), np.float32)
+    # Splines have continuous slopes; local interpolation is steepest at pixels.
+    image = spline_filter(cv2.GaussianBlur(light, (0, 0), 0.7), order=3, output=np.float32)
     refined = np.array(corners, np.float64)
     for n in range(len(refined)):
         for _ in range(_ROUNDS):
@@ -94,8 +96,8 @@ def _edge_line(
     inside = ((p > 1) & (p < np.array([w, h]) - 2)).all(axis=(1, 2))
     if inside.sum() < _LEAST_SAMPLES:
         return None
-    p = p[inside].astype(np.float32)
-    profile = cv2.remap(image, p[..., 0], p[..., 1], cv2.INTER_CUBIC)
+    p = p[inside]
+    profile = map_coordinates(image, (p[..., 1], p[..., 0]), order=3, prefilter=False)
     # The paper around a tag is bright: only a rise outwards is its edge.
     slope = np.asarray((profile[:, 2:] - profile[:, :-2]) / (2 * _STEP_PX), np.float64)
     top = np.clip(slope.argmax(axis=1), 1, slope.shape[1] - 2)
