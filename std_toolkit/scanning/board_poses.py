@@ -31,6 +31,10 @@ _MIN_PHOTOS = 3
 _LARGEST_ERROR_PX = 4.0
 _MIN_REGISTERED_POINTS = 20
 _MOST_TRACKS = 15_000
+# A corner is the meeting of two fitted edges: it counts as many features.
+_CORNER_WEIGHT = 8
+# Cameras whose focal lengths differ less have square pixels.
+_SQUARE = 0.005
 # Angle between viewing directions up to which photos are matched.
 _MATCHED_DEG = 40.0
 _MATCHES_PER_PHOTO = 8
@@ -258,16 +262,16 @@ def _model(
     """pycolmap.Reconstruction of the corners and of the features that the board explains."""
     import pycolmap
 
-    from std_toolkit.poses.colmap import to_colmap_camera, to_colmap_pixels, to_rigid3d
+    from std_toolkit.poses.colmap import to_colmap_pixels, to_rigid3d
     from std_toolkit.poses.pose_check import join_tracks
 
     tracks = join_tracks(pairs, uv)
     poses = dict(poses)
     poses.update(_further_poses(tracks, poses, camera))
     model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(to_colmap_camera(camera, 1, distorted=True))
+    model.add_camera_with_trivial_rig(_free_camera(camera))
     chosen = _triangulated(tracks, poses, camera)
-    pixels: dict[int, list[Any]] = {i: list(found[i].uv) for i in poses}
+    pixels: dict[int, list[Any]] = {i: _CORNER_WEIGHT * list(found[i].uv) for i in poses}
     at: list[tuple[Any, list[Any]]] = [(xyz, []) for xyz, _, _ in chosen]
     for n, (_, frames, seen) in enumerate(chosen):
         for f, p in zip(frames, seen, strict=True):
@@ -281,16 +285,39 @@ def _model(
             image_id=i + 1,
         )
         model.add_image_with_trivial_frame(image, to_rigid3d(poses[i].inverse()))
-    corners: dict[int, tuple[Any, Any]] = {}
+    corners: dict[tuple[int, int], tuple[Any, Any]] = {}
     for i in sorted(poses):
-        for n, (point, xyz) in enumerate(zip(found[i].ids, found[i].xyz, strict=True)):
-            corners.setdefault(int(point), (xyz, []))[1].append((i, n))
+        count = len(found[i].ids)
+        # An observation has no weight of its own: it is repeated.
+        for n in range(_CORNER_WEIGHT * count):
+            key = n // count, int(found[i].ids[n % count])
+            corners.setdefault(key, (found[i].xyz[n % count], []))[1].append((i, n))
     for xyz, places in [*corners.values(), *at]:
         track = pycolmap.Track()
         for i, n in places:
             track.add_element(i + 1, n)
         model.add_point3D(np.asarray(xyz, np.float64), track, np.zeros(3, np.uint8))
     return model
+
+
+def _free_camera(camera: Camera) -> Any:
+    """pycolmap.Camera to adjust: with square pixels, one focal length and radial distortion.
+
+    More parameters fit the noise of corners on one plane, and change the size of what stands on it.
+    """
+    import pycolmap
+
+    from std_toolkit.poses.colmap import to_colmap_camera
+
+    k = [*camera.distortion, 0.0, 0.0, 0.0, 0.0]
+    if len(camera.distortion) > 4 or abs(camera.fx / camera.fy - 1) > _SQUARE:
+        return to_colmap_camera(camera, 1, distorted=True)
+    plain = to_colmap_camera(camera.without_distortion(), 1)
+    fx, fy, cx, cy = plain.params
+    return pycolmap.Camera(
+        camera_id=1, model="RADIAL", width=camera.width, height=camera.height,
+        params=[(fx + fy) / 2, cx, cy, *k[:2]], has_prior_focal_length=True,
+    )  # fmt: skip
 
 
 def _triangulated(
@@ -368,7 +395,7 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
 
 
 def _adjusted(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhotos:
-    """Adjust poses, intrinsics and features with the corners fixed."""
+    """Adjust poses, intrinsics and features; the corners are fixed and weigh more."""
     import pycolmap
 
     from std_toolkit.options import Refinement

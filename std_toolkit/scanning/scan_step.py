@@ -128,7 +128,7 @@ def _poses(
     kept = [i for i in range(len(found.paths)) if i not in set(blurred)]
     digest = digest_of(
         inputs, digest_file(options.board), options.intrinsics, options.max_features, found.factor,
-        kept, "poses 2",
+        kept, "poses 3",
     )  # fmt: skip
 
     def make() -> dict[str, Any]:

@@ -20,7 +20,13 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.scanning import object_masks, scan_step
-from std_toolkit.scanning.board_poses import board_pose, calibrate, check_boards
+from std_toolkit.scanning.board_poses import (
+    _adjusted,
+    _model,
+    board_pose,
+    calibrate,
+    check_boards,
+)
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos import blurred_photos
 from std_toolkit.scanning.stages import Stages
@@ -147,6 +153,33 @@ def test_the_board_gives_intrinsics_and_poses() -> None:
     T, error = result
     assert error < 0.01
     assert np.allclose(T.inverse().t, poses[0].t, atol=1e-4)
+
+
+def test_features_do_not_change_what_corners_say(tmp_path: Path) -> None:
+    """Noisy features adjusted together with corners leave the poses of the corners."""
+    camera = Camera(640, 480, 600, 600, 322.0, 236.0, (-0.1, 0.05, 0.0, 0.0))
+    middle = np.array([0.1, 0.07, 0.0])
+    poses = {
+        k: look_at(middle + np.array([r * np.cos(k), r * np.sin(k), h]), middle)
+        for k, r, h in [(k, 0.25, 0.25 + 0.05 * (k % 3)) for k in range(8)]
+    }
+    found = [grid_detection(T, camera) for T in poses.values()]
+    rng = np.random.default_rng(0)
+    points = middle + rng.uniform(-0.06, 0.06, (60, 3)) + [0, 0, 0.06]
+    uv = {
+        k: camera.project(T.inverse() @ points) + rng.normal(size=(60, 2)) + [0.6, 0]
+        for k, T in poses.items()
+    }
+    same = np.column_stack([np.arange(60)] * 2)
+    pairs = [(a, b, same) for a in poses for b in poses if a < b]
+    paths = [tmp_path / f"{k}.jpg" for k in poses]
+    start = Camera(640, 480, 603, 602, 320.0, 238.0, (-0.08, 0.0, 1e-3, 0.0))
+    done = _adjusted(_model(paths, poses, found, uv, pairs, start), found, len(paths))
+    assert done.camera.fx == done.camera.fy == pytest.approx(600, abs=2.0)
+    assert done.camera.distortion[2:] == (0.0, 0.0)
+    off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
+    assert max(off) < 6e-4
+    assert len(done.points) > 30
 
 
 @pytest.mark.slow
