@@ -179,7 +179,7 @@ def test_features_do_not_change_what_corners_say(tmp_path: Path) -> None:
     assert done.camera.distortion[2:] == (0.0, 0.0)
     off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
     assert max(off) < 2e-3
-    assert len(done.points) > 30
+    assert len(done.points) > 10
 
 
 @pytest.mark.slow
