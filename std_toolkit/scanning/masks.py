@@ -1,4 +1,4 @@
-"""Masks of the object without a network: table model, GrabCut per photo, visual hull."""
+"""Masks of the object without a network: GrabCut per photo, made consistent by the visual hull."""
 
 from __future__ import annotations
 
@@ -13,73 +13,9 @@ from scipy import ndimage
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.log import logger
-from std_toolkit.scanning.candidates import Candidate
 from std_toolkit.scanning.depth_maps import hull_depth
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.table_model import Comparison
 from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
-
-# The inner part of a candidate's coarse shape that certainly shows the object.
-_INNER = 0.7
-_OUTER = 1.15
-
-
-def segment_on_table(
-    views: Sequence[View],
-    candidates: Sequence[Candidate],
-    chosen: int,
-    compared: Sequence[Comparison],
-    *,
-    threads: int,
-) -> list[View]:
-    """Photos with the mask of the chosen object.
-
-    Args:
-        views: photos.
-        candidates: what stands on the table.
-        chosen: index of the object among them.
-        compared: the photos against the table.
-        threads: number of threads.
-    """
-    target = candidates[chosen]
-    others = [c for i, c in enumerate(candidates) if i != chosen]
-    middle = (target.low + target.high) / 2
-    grown = middle + _OUTER * (target.vertices - middle), target.faces
-    likely = RayCaster(*grown, threads=1)
-    caster = RayCaster(*(target.outer or grown), threads=1)
-    exact = RayCaster(*well_within(target), threads=1)
-    before = None
-    if others:
-        before = RayCaster(threads=1)
-        for c in others:
-            before.add(c.vertices, c.faces)
-
-    def one(i: int) -> View:
-        view, c = views[i], compared[i]
-        whole = (0, 0, view.camera.width, view.camera.height)
-        depth, _ = hull_depth(view, caster, np.zeros(3), whole)
-        core, _ = hull_depth(view, exact, np.zeros(3), whole)
-        hidden = np.zeros(depth.shape, bool)
-        if before is not None:
-            other, _ = hull_depth(view, before, np.zeros(3), whole)
-            hidden = (other > 0) & (other < depth) & (depth > 0)
-        maybe = (depth > 0) & ~c.clear
-        sure = eroded((core > 0) & ~c.clear & ~hidden, 3)
-        near = hull_depth(view, likely, np.zeros(3), whole)[0] > 0
-        mask = _grab_cut(view.image, maybe & ~hidden, sure, unlikely=~near & ~c.different)
-        return view.with_mask(mask, hidden if hidden.any() else None)
-
-    never = [c.clear for c in compared]
-    done = consistent(
-        in_threads(one, range(len(views)), threads=threads), never=never, threads=threads
-    )
-    return with_hidden(done, never, threads=threads) if others else done
-
-
-def well_within(candidate: Candidate) -> tuple[Array, NDArray[np.int64]]:
-    """The inner part of a candidate's coarse shape, which certainly belongs to the object."""
-    middle = (candidate.low + candidate.high) / 2
-    return middle + _INNER * (candidate.vertices - middle), candidate.faces
 
 
 def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
@@ -98,7 +34,7 @@ def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
         maybe = off > max(0.25 * level, 4 * noise)
         labels, _ = ndimage.label(maybe)
         reached = np.isin(labels, np.unique(labels[sure & (labels > 0)])) & (labels > 0)
-        return view.with_mask(_grab_cut(view.image, reached, eroded(sure, 2)))
+        return view.with_mask(grab_cut(view.image, reached, eroded(sure, 2)))
 
     return consistent(in_threads(one, views, threads=threads), threads=threads)
 
@@ -142,6 +78,7 @@ def consistent(
     views: Sequence[View],
     *,
     never: Sequence[Mask] | None = None,
+    always: Sequence[Mask] | None = None,
     rounds: int = 2,
     threads: int = 1,
 ) -> list[View]:
@@ -153,23 +90,26 @@ def consistent(
     Args:
         views: photos with masks.
         never: pixels (H, W) of each photo that do not show the object.
+        always: pixels (H, W) of each photo that show the object, if the hull covers them.
         rounds: number of repetitions.
         threads: number of threads.
     """
     current = list(views)
     for n in range(rounds):
-        caster = _hull(current, cells=1_000_000, allowed=len(current) // 12, threads=threads)
+        caster = hull_of(current, cells=1_000_000, allowed=len(current) // 12, threads=threads)
 
         def one(i: int, caster: RayCaster = caster, band: int = 5 - n, now: Any = current) -> View:
             view = now[i]
-            inside = _covered(view, caster)
+            inside = covered(view, caster)
             hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
             maybe = dilated(inside, band) & ~hidden
             if never is not None:
                 # By chance the object has the colour of the table behind it: other photos decide.
                 maybe &= ~never[i] | eroded(inside, 4 * band)
             sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
-            return view.with_mask(_grab_cut(view.image, maybe, sure), view.hidden)
+            if always is not None:
+                sure |= always[i] & inside & ~hidden
+            return view.with_mask(grab_cut(view.image, maybe, sure), view.hidden)
 
         changed = in_threads(one, range(len(current)), threads=threads)
         moved = [
@@ -191,11 +131,11 @@ def with_hidden(
     """
     current = list(views)
     for _ in range(rounds):
-        caster = _hull(current, cells=300_000, allowed=len(current) // 8, threads=threads)
+        caster = hull_of(current, cells=300_000, allowed=len(current) // 8, threads=threads)
 
         def one(i: int, caster: RayCaster = caster, now: Any = current) -> View:
             view = now[i]
-            inside = _covered(view, caster)
+            inside = covered(view, caster)
             radius = max(2, round(0.02 * float(np.sqrt(inside.sum()))))
             thick = eroded(inside & ~view.possible & ~never[i], radius)
             if not thick.any():
@@ -209,7 +149,7 @@ def with_hidden(
     return current
 
 
-def _hull(views: Sequence[View], *, cells: int, allowed: int, threads: int) -> RayCaster:
+def hull_of(views: Sequence[View], *, cells: int, allowed: int, threads: int) -> RayCaster:
     """The largest part of the visual hull.
 
     Args:
@@ -235,19 +175,19 @@ def _hull(views: Sequence[View], *, cells: int, allowed: int, threads: int) -> R
     return RayCaster(vertices, faces, threads=1)
 
 
-def _covered(view: View, caster: RayCaster) -> Mask:
+def covered(view: View, caster: RayCaster) -> Mask:
     """Pixels of a photo that the hull covers."""
+    return view_depth(view, caster) > 0
+
+
+def view_depth(view: View, caster: RayCaster) -> NDArray[np.float32]:
+    """(H, W) z-depth of a surface in a photo, 0 beside it."""
     whole = (0, 0, view.camera.width, view.camera.height)
-    return hull_depth(view, caster, np.zeros(3), whole)[0] > 0
+    return hull_depth(view, caster, np.zeros(3), whole)[0]
 
 
-def _grab_cut(
-    image: NDArray[np.uint8], maybe: Mask, sure: Mask, unlikely: Mask | None = None
-) -> Mask:
-    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`.
-
-    The colours of `unlikely` pixels do not count as those of the object to begin with.
-    """
+def grab_cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask) -> Mask:
+    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`."""
     rows, columns = np.flatnonzero(maybe.any(axis=1)), np.flatnonzero(maybe.any(axis=0))
     result = np.zeros(maybe.shape, bool)
     if len(rows) < 3 or len(columns) < 3 or sure.sum() < 30:
@@ -258,8 +198,6 @@ def _grab_cut(
     window = (slice(y0, y1), slice(x0, x1))
     state = np.full((y1 - y0, x1 - x0), cv2.GC_BGD, np.uint8)
     state[maybe[window]] = cv2.GC_PR_FGD
-    if unlikely is not None:
-        state[(maybe & unlikely)[window]] = cv2.GC_PR_BGD
     state[sure[window]] = cv2.GC_FGD
     if (state == cv2.GC_BGD).sum() < 30:
         return np.asarray(maybe)

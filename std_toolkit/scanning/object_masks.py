@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.scanning import candidates as standing
-from std_toolkit.scanning.masks import segment_by_border, segment_on_table, well_within
+from std_toolkit.scanning.masks import segment_by_border
 from std_toolkit.scanning.object_checks import check_opaque
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.posed_photos import PosedPhotos
+from std_toolkit.scanning.proven_masks import segment_on_table, well_within
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.views import View
 from std_toolkit.scene.document import digest_of
@@ -40,7 +41,7 @@ def object_masks(
     own = _own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 5")
+    key = digest_of(posed.digest, options.pick, options.box, "masks 6")
 
     def make() -> dict[str, Any]:
         if not posed.on_table:

@@ -18,9 +18,10 @@ from std_toolkit.scanning.views import Array, Mask, View
 _CELL_M = 0.0015
 _MOST_CELLS = 250_000
 _MIN_PHOTOS = 4
-# Grey values: photos that differ less show the table, more show something else.
-_CLEAR = 14.0
-_DIFFERENT = 26.0
+# Spreads of the table's own colour by which a photo may differ from it, and the limits of this
+# width in grey values; what differs by twice the width is something else. A wide width takes white
+# print of an object for white paper behind it.
+_WIDTHS, _NARROWEST, _WIDEST = 2.0, 8.0, 14.0
 # A cell whose photos differ more is no table at rest: a moving background, or the object.
 _LARGEST_SPREAD = 22.0
 # Share of the cells around the board that are at rest on a table, and are not around a turntable.
@@ -45,6 +46,7 @@ class TableModel:
         seen: (h, w) cells that enough photos show.
         known: (h, w) cells whose photos agree.
         gains: (V, 3) factor from the table's colours to those of each photo.
+        width: grey values by which a photo of the bare table may differ.
     """
 
     low: Array
@@ -53,6 +55,7 @@ class TableModel:
     seen: Mask
     known: Mask
     gains: NDArray[np.float32]
+    width: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +110,12 @@ def model_table(views: Sequence[View], low: Array, high: Array, corners: Array) 
                 gains[i] = np.median(samples[i][use] / color[use], axis=0)
     enough = (seen.sum(axis=0) >= _MIN_PHOTOS).reshape(h, w)
     known = enough & (spread < _LARGEST_SPREAD).reshape(h, w)
+    usual = float(np.median(spread[known.ravel()])) if known.any() else _WIDEST
     colors = color.reshape(h, w, 3)
     known = _of_the_table(known, (corners[:, :2] - low) / cell)
     _continue(colors, known, samples.reshape(-1, h, w, 3), seen.reshape(-1, h, w), gains)
-    return TableModel(low, cell, colors, enough, known, gains)
+    width = float(np.clip(_WIDTHS * usual, _NARROWEST, _WIDEST))
+    return TableModel(low, cell, colors, enough, known, gains, width)
 
 
 def _of_the_table(known: Mask, corners: Array) -> Mask:
@@ -195,11 +200,11 @@ def _median(
         some = n > 0
         column = np.arange(len(part))
         quartiles = [
-            value[np.clip((n * q).astype(np.int64), 0, np.maximum(n - 1, 0)), column]
+            value[np.clip((n * q).astype(np.int64), 0, np.maximum(n - 1, 0)), column][some]
             for q in (0.25, 0.5, 0.75)
         ]
-        color[part[some]] = quartiles[1][some]
-        spread[part[some]] = (quartiles[2] - quartiles[0])[some].max(axis=1)
+        color[part[some]] = quartiles[1]
+        spread[part[some]] = (quartiles[2] - quartiles[0]).max(axis=1)
     return color, spread
 
 
@@ -244,6 +249,6 @@ def _compare(view: View, table: TableModel, index: int) -> Comparison:
     known &= steep & (x >= 0) & (y >= 0)
     image = cv2.GaussianBlur(view.image, (0, 0), 0.7).astype(np.float32)
     off = np.maximum(np.maximum(image - brightest, darkest - image), 0).max(axis=-1)
-    clear = known & (off < _CLEAR)
+    clear = known & (off < table.width)
     clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    return Comparison(clear, known & (off > _DIFFERENT), known)
+    return Comparison(clear, known & (off > 2 * table.width), known)
