@@ -259,12 +259,27 @@ def measure_frames(paths: Sequence[Path]) -> list[FrameMeasure]:
     measures: list[FrameMeasure] = []
     previous: NDArray[np.uint8] | None = None
     for path in paths:
-        image = _small_grey(path)
-        sharpness = float(cv2.Laplacian(image, cv2.CV_32F).var())
-        moved = 1.0 if previous is None else _motion(previous, image)
-        measures.append(FrameMeasure(sharpness=sharpness, motion=moved))
-        previous = image
+        # Reduced decoding of a JPEG file takes a fraction of the time.
+        grey = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_2)
+        if grey is None:
+            raise ToolkitError("cannot decode the image", path=path)
+        measure, previous = measure_image(np.asarray(grey, np.uint8), previous)
+        measures.append(measure)
     return measures
+
+
+def measure_image(
+    grey: NDArray[np.uint8], previous: NDArray[np.uint8] | None
+) -> tuple[FrameMeasure, NDArray[np.uint8]]:
+    """Measurements of a grey image (H, W), and its reduced copy, the `previous` of the next."""
+    scale = SMALL_WIDTH / grey.shape[1]
+    small = grey
+    if scale < 1:
+        resized = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        small = np.asarray(resized, np.uint8)
+    sharpness = float(cv2.Laplacian(small, cv2.CV_32F).var())
+    moved = 1.0 if previous is None else _motion(previous, small)
+    return FrameMeasure(sharpness=sharpness, motion=moved), small
 
 
 def choose_keyframes(measures: Sequence[FrameMeasure], *, motion: float, max_gap: int) -> list[int]:
@@ -297,17 +312,6 @@ def choose_keyframes(measures: Sequence[FrameMeasure], *, motion: float, max_gap
         # Without the last frame in the map, the poses near the end would be extrapolated.
         chosen.append(last)
     return chosen
-
-
-def _small_grey(path: Path) -> NDArray[np.uint8]:
-    # Reduced decoding of a JPEG file takes a fraction of the time.
-    image = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_2)
-    if image is None:
-        raise ToolkitError("cannot decode the image", path=path)
-    scale = SMALL_WIDTH / image.shape[1]
-    if scale < 1:
-        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return np.asarray(image, dtype=np.uint8)
 
 
 def _motion(previous: NDArray[np.uint8], image: NDArray[np.uint8]) -> float:

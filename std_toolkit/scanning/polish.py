@@ -26,7 +26,9 @@ def fit_outlines(
     vertices: Array,
     faces: NDArray[np.int64],
     views: Sequence[View],
+    support: NDArray[np.floating],
     *,
+    floor: float | None = None,
     rounds: int = 3,
     threads: int = 1,
 ) -> Array:
@@ -36,6 +38,8 @@ def fit_outlines(
         vertices: (V, 3) world.
         faces: (F, 3) of a closed mesh.
         views: photos with masks.
+        support: (V,) weight of the depth measurements of each vertex; they hold it in its place.
+        floor: z of the table, below which no vertex is moved; None for none.
         rounds: number of repetitions.
         threads: number of threads.
     """
@@ -57,8 +61,11 @@ def fit_outlines(
         # Spread over the neighbours, so that the rim does not become a ridge.
         for _ in range(3):
             total, weight = average @ total, average @ weight
-        move = 0.8 * total / np.maximum(weight, 0.05)
+        # An outline is a measurement of its photo, as depth is: both count by their weights.
+        move = 0.8 * total / np.maximum(weight + support, 0.05)
         vertices = vertices + move[:, None] * normals
+        if floor is not None:
+            vertices[:, 2] = np.maximum(vertices[:, 2], floor)
     return vertices
 
 

@@ -92,8 +92,8 @@ def segment_on_table(
         view = first[i]
         inside = covered(view, hull)
         hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
-        seen = ndimage.binary_opening(compared[i].different, iterations=1) & ~hidden
-        seen &= inside
+        # The rim is a mixture of object and table: colour decides where between them it lies.
+        seen = eroded(compared[i].different, 1) & inside & ~hidden
         core = eroded((view_depth(view, inner) > 0) & ~never[i] & ~hidden, 3)
         maybe = dilated(inside, 3) & ~never[i] & ~hidden
         return view.with_mask(grab_cut(view.image, maybe, seen | core), view.hidden), seen

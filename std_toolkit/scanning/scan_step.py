@@ -229,7 +229,10 @@ def _fused(
     weights = agreeing(views, maps, target, threads=threads)
     fused = fuse(views, maps, weights, hull, grid, threads=threads)
     vertices, faces = closed_mesh(fused.field, grid, options.faces)
-    vertices = fit_outlines(vertices, faces, views, threads=threads)
+    vertices = fit_outlines(
+        vertices, faces, views, _at(fused.support, grid, vertices),
+        floor=0.0 if posed.on_table else None, threads=threads,
+    )  # fmt: skip
     if not posed.on_table:
         vertices, flattened = flatten_unseen(vertices, faces, views)
         if flattened:

@@ -15,6 +15,7 @@ import msgspec
 from annotator.session.edits import AnyEdit, EnterModel
 from annotator.session.state import Snapshot
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.io.atomic import scene_lock
 from std_toolkit.labels.label import copy_model
 from std_toolkit.scene import ObjectTable, Scene
@@ -112,7 +113,8 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
         category: category such as "mug".
         model: id of the model; default: from the file's name, or from its folder's for names such
             as "textured", with a number if another mesh has that id.
-        symmetry: as for the command line: "auto", "axis:z", "fold:z:4", a JSON file; default: none.
+        symmetry: as for the command line: "auto", "axis:z", "fold:z:4", a JSON file; default: the
+            `symmetry.json` of `std-scan` beside the mesh, if there is one, else none.
         faces: decimate a mesh of more faces to this number; its texture becomes vertex colours.
     """
 
@@ -134,12 +136,19 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
     def import_as(self, name: str, snapshot: Snapshot) -> Outcome:
         """As `resolve`, with another default for the id than the file's name."""
         from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
-        from std_toolkit.labels.symmetry_argument import parse_symmetry, symmetry_proposal
+        from std_toolkit.labels.symmetry_argument import (
+            parse_symmetry,
+            read_symmetry_file,
+            symmetry_proposal,
+        )
 
         if not snapshot.writable:
             raise ToolkitError("the scene is open read-only", path=snapshot.scene.root)
         path = Path(self.mesh).expanduser()
         symmetry = None
+        beside = _scanned_symmetry(path) if self.symmetry is None and self.unit == "m" else None
+        if beside is not None:
+            symmetry = read_symmetry_file(beside)
         if self.symmetry is not None:
             try:
                 mesh = load_mesh(path, unit=self.unit)
@@ -166,11 +175,20 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
         size = " x ".join(f"{x * 1000:.1f}" for x in model.size_m)
         line = f"model {model.id}: {size} mm, diameter {model.diameter_m * 1000:.1f} mm"
         report = [line]
-        if model.symmetry == SymmetryModel():
+        if beside is not None:
+            words = symmetry_words(model.symmetry.symmetry())
+            report.append(f"symmetry of the scan ({beside.name}): {words}")
+        elif model.symmetry == SymmetryModel():
             proposal = symmetry_proposal(load_mesh(snapshot.scene.root / model.mesh))
             if proposal is not None:
                 report.append(f"{proposal}: Symmetry... enters it")
         return Outcome(EnterModel(model=model), report)
+
+
+def _scanned_symmetry(mesh: Path) -> Path | None:
+    """The symmetry that `std-scan` wrote beside a mesh; None if the mesh is from elsewhere."""
+    found = mesh.parent / "symmetry.json"
+    return found if found.is_file() and (mesh.parent / "scan.json").is_file() else None
 
 
 def _known(snapshot: Snapshot) -> ObjectTable:

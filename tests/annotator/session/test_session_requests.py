@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -61,6 +62,22 @@ class TestImportMesh:
         model = Scene.open(root).objects.model("can")
         assert (model.category, model.class_id) == ("can", 4)
         assert len(model.symmetry.continuous) == 1
+
+    def test_a_scan_brings_its_symmetry(self, session: Session, tmp_path: Path) -> None:
+        folder = tmp_path / "cup"
+        folder.mkdir()
+        trimesh.creation.cylinder(radius=0.03, height=0.1).export(folder / "cup.ply")
+        axis = {"axis": [0.0, 0.0, 1.0], "offset": [0.0, 0.0, 0.0]}
+        (folder / "symmetry.json").write_text(json.dumps({"discrete": [], "continuous": [axis]}))
+        # Beside a mesh from elsewhere, the file may belong to anything.
+        outcome = session.perform(ImportMesh(mesh=str(folder / "cup.ply"), model="other"))
+        assert session.state.model("other").symmetry.continuous == []
+        (folder / "scan.json").write_text("{}")
+        outcome = session.perform(ImportMesh(mesh=str(folder / "cup.ply")))
+        assert outcome.report[1] == "symmetry of the scan (symmetry.json): any turn about z"
+        assert len(session.state.model("cup").symmetry.continuous) == 1
+        session.perform(ImportMesh(mesh=str(folder / "cup.ply"), model="plain", symmetry=["none"]))
+        assert session.state.model("plain").symmetry.continuous == []
 
     def test_undo_takes_the_model_away_and_redo_finds_its_file(
         self, session: Session, can: Path
