@@ -58,14 +58,14 @@ def make_board(command: BoardCommand) -> int:
 
 
 def with_command(words: list[str]) -> list[str]:
-    """A folder as the first word is that of the photos, also if it is called as no command.
+    """A folder or video as the first word is that of the photos, unless it is called as a command.
 
     >>> with_command([".", "--out", "cup"])
     ['photos', '.', '--out', 'cup']
     """
     place = next((i for i, word in enumerate(words) if word[:1] != "-"), None)
     named = {command.name for command in PROGRAM.commands}
-    if place is None or not Path(words[place]).is_dir():
+    if place is None or not Path(words[place]).exists():
         return words
     if words[place] in named and any(Path(word).is_dir() for word in words[place + 1 : place + 2]):
         return words

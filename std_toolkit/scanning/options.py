@@ -24,7 +24,7 @@ class ScanOptions:
     """
 
     photos: Path = field(metadata={"option": ""})
-    """folder of the photos"""
+    """folder of the photos, or a video, of which about 60 sharp frames are taken"""
     out: Path = field(metadata={"option": "out"})
     """folder for the model; its name is the name of the model"""
     board: Path | None = None

@@ -65,7 +65,10 @@ def find_photos(folder: Path, work: Path, *, longest: int) -> Photos:
         ToolkitError: no folder, too few photos, or photos of several sizes.
     """
     if not folder.is_dir():
-        raise ToolkitError("no such folder of photos", path=folder)
+        raise ToolkitError(
+            "no such folder of photos, and no video", path=folder,
+            hint="give a folder of JPEG or PNG files, or a video as .mp4, .mov, .avi or .mkv",
+        )  # fmt: skip
     paths = sorted(
         p for p in folder.iterdir()
         if p.suffix.lower() in COLOR_SUFFIXES and p.is_file() and not p.name.startswith(".")

@@ -28,6 +28,7 @@ from std_toolkit.scanning.revolve import OutlineView, fit_revolution
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
 from std_toolkit.scanning.underside import flatten_unseen
+from std_toolkit.scanning.video import is_video, sample_video
 from std_toolkit.scanning.views import Array, Grid, View
 from std_toolkit.scanning.write_model import write_model
 from std_toolkit.scene.document import digest_file, digest_of
@@ -60,7 +61,8 @@ def scan(options: ScanOptions) -> Scan:
         logger.info("%s: %.0f s", name, seconds[name])
 
     engine = ENGINES.get(options.depth)
-    found = photo_files.find_photos(options.photos, work, longest=options.image_size)
+    folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
+    found = photo_files.find_photos(folder, work, longest=options.image_size)
     inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
     posed = _poses(options, found, stages, work, inputs)
     lap("poses")
