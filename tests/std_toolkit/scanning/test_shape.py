@@ -52,7 +52,7 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
     away = np.linalg.norm(grid.points(index.reshape(-1, 3)) - CENTRE, axis=1)
     field = (away - (RADIUS - 0.0015)).reshape(grid.shape).astype(np.float32)
     vertices, faces = closed_mesh(field, grid, 2000)
-    fitted = fit_outlines(vertices, faces, views)
+    fitted = fit_outlines(vertices, faces, views, np.zeros(len(vertices)))
     side = np.abs(vertices[:, 2] - CENTRE[2]) < 0.02
 
     def off(v: np.ndarray) -> float:
@@ -60,6 +60,10 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
 
     assert off(fitted) < 0.35 * off(vertices)
     assert is_closed(fitted, faces)
+    held = fit_outlines(vertices, faces, views, np.full(len(vertices), 9.0))
+    assert off(held) > 0.6 * off(vertices)
+    cut = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), floor=0.03)
+    assert cut[:, 2].min() == 0.03
 
 
 def test_the_files_hold_the_same_mesh_and_texture(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -18,8 +20,8 @@ CORNERS = np.array([[0.09, 0.09, 0.0], [-0.09, -0.09, 0.0]])
 HALF, HIGH = np.array([0.05, 0.015]), 0.1
 
 
-def photos_of_a_box(count: int = 12) -> list[View]:
-    """A dark box, wide one way, on a bright table."""
+def photos_of_a_box(count: int = 12, *, panel: bool = False) -> list[View]:
+    """A dark box, wide one way, on a bright table; with a panel of the colour of the table."""
     low, high = np.array([*-HALF, 0.0]), np.array([*HALF, HIGH])
     views = []
     for n in range(count):
@@ -31,9 +33,24 @@ def photos_of_a_box(count: int = 12) -> list[View]:
             ends = np.stack([(low - eye) / rays, (high - eye) / rays])
         near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
         box = (near < far) & (far > 0)
-        image = np.where(box[..., None], BOX, np.where(rays[..., 2:] < 0, TABLE, 40.0))
+        look = np.broadcast_to(BOX, rays.shape)
+        if panel:
+            at = eye + near[..., None] * rays
+            white = (np.abs(at[..., 0]) < 0.008) & (np.abs(at[..., 2] - 0.05) < 0.008)
+            look = np.where(white[..., None], TABLE + 2, look)
+        image = np.where(box[..., None], look, np.where(rays[..., 2:] < 0, TABLE, 40.0))
         views.append(View(f"{n}.png", image.astype(np.uint8), CAMERA, T, box))
     return views
+
+
+@pytest.mark.slow
+def test_cells_that_no_photo_shows_are_unknown_and_raise_no_warning() -> None:
+    views = photos_of_a_box(8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        table = model_table(views, np.array([-0.9, -0.9]), np.array([0.9, 0.9]), CORNERS)
+    assert not table.seen.all()
+    assert not (table.known & ~table.seen).any()
 
 
 @pytest.mark.slow

@@ -1,0 +1,41 @@
+"""Masks from what the photos prove, where the object has print of the colour of the table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+pytest.importorskip("manifold3d")
+
+from std_toolkit.scanning.candidates import find_candidates
+from std_toolkit.scanning.proven_masks import segment_on_table, without_islands
+from tests.std_toolkit.scanning.test_table_model import CORNERS, photos_of_a_box
+
+
+def test_print_is_an_island_and_a_large_opening_is_not() -> None:
+    clear = np.ones((100, 100), bool)
+    outline = np.zeros_like(clear)
+    outline[20:80, 20:80] = True
+    clear[22:78, 22:78] = False
+    clear[30:36, 30:40] = True
+    clear[50:70, 40:70] = True
+    found = without_islands(clear, outline)
+    assert not found[30:36, 30:40].any()
+    assert found[50:70, 40:70].all()
+    assert found[~outline].all()
+    nothing = np.zeros_like(clear)
+    assert not without_islands(nothing, outline).any()
+
+
+@pytest.mark.slow
+def test_a_panel_of_the_colour_of_the_table_stays_in_the_mask() -> None:
+    views = photos_of_a_box(panel=True)
+    found, compared = find_candidates(views, CORNERS, threads=1)
+    assert len(found) == 1
+    done = segment_on_table(views, found, 0, compared, threads=1)
+    for view, true in zip(done, views, strict=True):
+        assert true.mask is not None
+        both = (view.shown & true.mask).sum() / (view.shown | true.mask).sum()
+        assert both > 0.8
+        assert (true.mask & ~view.shown).sum() < 0.02 * true.mask.sum()
