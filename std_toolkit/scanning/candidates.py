@@ -189,7 +189,7 @@ def choose_candidate(
         view = views[pick[0]]
         ray = view.T_world_cam.R @ view.camera.unproject(np.array(pick[1:]))
         hits = [
-            RayCaster(c.vertices, c.faces).cast(np.array([*view.centre, *ray])).distance
+            RayCaster(c.vertices, c.faces).cast(np.array([[*view.centre, *ray]])).distance[0]
             for c in candidates
         ]
         if not np.isfinite(hits).any():

@@ -93,9 +93,11 @@ def segment_on_table(
         inside = covered(view, hull)
         hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
         # The rim is a mixture of object and table: colour decides where between them it lies.
-        seen = eroded(compared[i].different, 1) & inside & ~hidden
+        c = compared[i]
+        seen = eroded(c.different, 1) | eroded(c.known & ~c.clear, 2)
+        seen &= inside & ~hidden
         # Islands did not carve the hull: they are print on it.
-        seen |= compared[i].clear & ~never[i] & eroded(inside, 2) & ~hidden
+        seen |= c.clear & ~never[i] & eroded(inside, 2) & ~hidden
         core = eroded((view_depth(view, inner) > 0) & ~never[i] & ~hidden, 3)
         maybe = dilated(inside, 3) & ~never[i] & ~hidden
         return view.with_mask(grab_cut(view.image, maybe, seen | core), view.hidden), seen

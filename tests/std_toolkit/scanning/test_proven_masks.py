@@ -8,9 +8,10 @@ import pytest
 pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
-from std_toolkit.scanning.candidates import find_candidates
+from std_toolkit.errors import ToolkitError
+from std_toolkit.scanning.candidates import choose_candidate, find_candidates
 from std_toolkit.scanning.proven_masks import segment_on_table, without_islands
-from tests.std_toolkit.scanning.test_table_model import CORNERS, photos_of_a_box
+from tests.std_toolkit.scanning.test_table_model import CORNERS, HIGH, photos_of_a_box
 
 
 def test_print_is_an_island_and_a_large_opening_is_not() -> None:
@@ -33,6 +34,10 @@ def test_a_panel_of_the_colour_of_the_table_stays_in_the_mask() -> None:
     views = photos_of_a_box(panel=True)
     found, compared = find_candidates(views, CORNERS, threads=1)
     assert len(found) == 1
+    middle, _ = views[0].project(np.array([[0.0, 0.0, HIGH / 2]]))
+    assert choose_candidate(found, views, pick=(0, *middle[0])) == 0
+    with pytest.raises(ToolkitError, match="no object at this pixel"):
+        choose_candidate(found, views, pick=(0, 2.0, 2.0))
     done = segment_on_table(views, found, 0, compared, threads=1)
     for view, true in zip(done, views, strict=True):
         assert true.mask is not None
