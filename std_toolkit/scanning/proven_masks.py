@@ -94,8 +94,7 @@ def segment_on_table(
         hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
         # The rim is a mixture of object and table: colour decides where between them it lies.
         c = compared[i]
-        seen = eroded(c.different, 1) | eroded(c.known & ~c.clear, 2)
-        seen &= inside & ~hidden
+        seen = eroded(c.different, 1) & inside & ~hidden
         # Islands did not carve the hull: they are print on it.
         seen |= c.clear & ~never[i] & eroded(inside, 2) & ~hidden
         core = eroded((view_depth(view, inner) > 0) & ~never[i] & ~hidden, 3)
