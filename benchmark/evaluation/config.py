@@ -173,7 +173,7 @@ class GraspConfig(NetworkConfig):
     task = "grasp"
 
     depths: tuple[str, ...] = field(default=("raw",), metadata=_option("depth"))
-    """depth that grasps are planned on: raw, gt, or restorers"""
+    """depth that grasps are planned on: raw, gt, restorers, or NAME=DIR of saved depth"""
     planners: tuple[str, ...] = field(default=("antipodal",), metadata=_option("planner"))
     """antipodal, graspnet, oracle (knows where the objects are), package.module:Class, or
     file.py:Class"""
@@ -192,6 +192,8 @@ class GraspConfig(NetworkConfig):
     """folder of meshes for the tables, CATEGORY/NAME.obj or with assets.json (built-in shapes)"""
     meshes_unit: Literal["m", "cm", "mm"] | None = None
     """unit of these meshes, which then keep their size (a size is drawn that the jaw can hold)"""
+    save_views: Path | None = None
+    """write every view (colour, depth, camera) to scenes in this folder, for your own restorer"""
     label: str | None = None
     """name of the planner, or of the dump, in folders and tables"""
     dump: Path | None = None

@@ -178,7 +178,8 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
             options.
         depth, depth_preset, depth_settings, depth_weights_sha256: `raw` or `gt`, which have no
-            preset, or a restorer and its options.
+            preset, a restorer and its options, or the name of a folder.
+        depth_folder: folder of saved depth; otherwise empty.
         precision, compile, device: options of networks; device is its type, `cpu` or `cuda`.
     """
 
@@ -199,6 +200,7 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     compile: bool
     device: str
     move: str = "straight"
+    depth_folder: str = ""
     meshes: Name = ""
     meshes_sha256: str = ""
     meshes_unit: str = ""

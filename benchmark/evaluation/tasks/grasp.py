@@ -11,21 +11,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
+from benchmark.evaluation.depth_choice import DepthChoice, depth_choice
 from benchmark.evaluation.engine import Task, TaskRun, weights_digest
-from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_table, plan_dump
+from benchmark.evaluation.tasks.grasp_inputs import ORACLE, Methods
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
-from benchmark.methods.depth.full_size import at_full_size, restorer_view
-from benchmark.methods.protocol import GraspView, Restorer
-from benchmark.methods.registry import MethodOptions, grasp_planners, make_planner, make_restorer
-from benchmark.metrics.grasp.grasp import Grasps
+from benchmark.methods.registry import MethodOptions, grasp_planners
 from benchmark.metrics.grasp.gripper import PANDA
 from benchmark.tabletop import depth_model, round, sense
 from benchmark.tabletop.arrange import arrange, round_seed
+from benchmark.tabletop.saved_views import named_view, save_view
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
@@ -36,49 +35,6 @@ if TYPE_CHECKING:
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
 
-RAW, TRUE = "raw", "gt"
-
-# Uses the true object poses: the upper bound.
-ORACLE = "oracle"
-
-
-class Methods:
-    """Restorer and planner of a process."""
-
-    def __init__(self, run: GraspRun, device: str) -> None:
-        self.restorer: Restorer | None = None
-        if run.is_restored:
-            self.restorer = make_restorer(run.depth, replace(run.depth_options, device=device))
-        self.true = run.depth == TRUE
-        self.planner = None
-        if run.planner != ORACLE:
-            self.planner = make_planner(run.planner, replace(run.planner_options, device=device))
-
-    @property
-    def looks_at_color(self) -> bool:
-        """Whether colour is used: by any restorer, or by a planner with `needs_color`."""
-        return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
-
-    def given(self, observation: sense.Observation) -> round.GivenDepth:
-        """Return the depth to plan on at camera size; restored depth uses `at_full_size`."""
-        frame = observation.frame
-        if self.restorer is None:
-            depth = frame.depth_true if self.true else frame.depth_raw
-            return round.GivenDepth(frame.color, depth, frame.camera)
-        view = restorer_view(frame, self.restorer)
-        answer = restore_views(self.restorer, {0: view})[0]
-        if isinstance(answer, str):
-            raise ToolkitError(f"the restorer failed: {answer}")
-        return round.GivenDepth(frame.color, at_full_size(frame.depth_raw, answer), frame.camera)
-
-    def plan(self, view: GraspView, state: round.State) -> Grasps:
-        if self.planner is not None:
-            return self.planner.plan(view)
-        from benchmark.tabletop.oracle import plan_from_surfaces, surfaces_of
-
-        surfaces = surfaces_of([o.body for o in state.objects], state.poses)
-        return plan_from_surfaces(surfaces).transformed(sense.camera_pose().inverse())
-
 
 @dataclass(frozen=True, kw_only=True)
 class GraspRun(TaskRun[None, Methods]):
@@ -88,7 +44,7 @@ class GraspRun(TaskRun[None, Methods]):
     is therefore the same if rounds are interrupted, resumed or spread over workers.
 
     Attributes:
-        depth, depth_options: `raw`, `gt`, or a restorer and its options.
+        depth: depth that grasps are planned on.
         planner, planner_options: a registered planner, or `oracle`.
         label: name of the planner in tables.
         rounds, seed: number of rounds, and their seed.
@@ -100,17 +56,17 @@ class GraspRun(TaskRun[None, Methods]):
             shapes.
         devices: torch devices; each worker uses one.
         strips: save pictures of every attempt.
+        save_views: folder to which the views are written; None for none.
     """
 
     manifest_name, table_name, unit = GRASP_MANIFEST, ATTEMPTS, "rounds"
     network_shares_cpu = True
-    depth: str
+    depth: DepthChoice
     planner: str
     label: str | None = None
     rounds: int
     seed: int
     out: Path
-    depth_options: MethodOptions = field(default_factory=MethodOptions)
     planner_options: MethodOptions = field(default_factory=MethodOptions)
     camera: sense.CameraKind = "quick"
     attempts: int = round.MOST_ATTEMPTS
@@ -119,10 +75,11 @@ class GraspRun(TaskRun[None, Methods]):
     meshes_unit: Literal["m", "cm", "mm"] | None = None
     devices: tuple[str, ...] = ("cpu",)
     strips: bool = True
+    save_views: Path | None = None
 
     @property
     def depth_label(self) -> str:
-        return plain_label(self.depth)
+        return self.depth.label
 
     @property
     def planner_label(self) -> str:
@@ -137,11 +94,6 @@ class GraspRun(TaskRun[None, Methods]):
     @property
     def title(self) -> str:
         return f"{self.planner_label} on {self.depth_label} depth"
-
-    @property
-    def is_restored(self) -> bool:
-        """Whether the depth comes from a restorer."""
-        return self.depth not in (RAW, TRUE)
 
     @property
     def assets(self) -> AssetSource | None:
@@ -164,10 +116,11 @@ class GraspRun(TaskRun[None, Methods]):
         """Open nothing: the tables are generated."""
 
     def make(self, device: str) -> Methods:
-        return Methods(self, device)
+        depth = replace(self.depth, options=replace(self.depth.options, device=device))
+        return Methods(depth, self.planner, replace(self.planner_options, device=device))
 
     def parts(self, methods: Methods) -> tuple[object, ...]:
-        return methods.restorer, methods.planner
+        return methods.depths.restorer, methods.planner
 
     def begin_worker(self) -> None:
         """Use one thread: rounding of sums over threads depends on the number of threads."""
@@ -175,9 +128,9 @@ class GraspRun(TaskRun[None, Methods]):
             torch.set_num_threads(1)
 
     def manifest(self, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
-        planner, depth = self.planner_options, self.depth_options
+        planner, depth, folder = self.planner_options, self.depth.options, self.depth.folder
         # Precision, compile and device are the same for both.
-        network = depth if self.is_restored else planner
+        network = depth if self.depth.is_restored else planner
         setup = GraspSetup(
             seed=self.seed,
             attempts=self.attempts,
@@ -190,10 +143,11 @@ class GraspRun(TaskRun[None, Methods]):
             planner_preset=planner.preset,
             planner_settings=dict(planner.settings),
             planner_weights_sha256=weights_digest(self.planner, methods.planner, planner),
-            depth=self.depth,
-            depth_preset=depth.preset if self.is_restored else "",
+            depth=self.depth.name,
+            depth_preset=depth.preset if self.depth.is_restored else "",
             depth_settings=dict(depth.settings),
-            depth_weights_sha256=weights_digest(self.depth, methods.restorer, depth),
+            depth_weights_sha256=weights_digest(self.depth.name, methods.depths.restorer, depth),
+            depth_folder="" if folder is None else str(folder.resolve()),
             precision=network.precision,
             compile=network.compile,
             device=self.devices[0].partition(":")[0],
@@ -226,11 +180,18 @@ class GraspRun(TaskRun[None, Methods]):
         )
         camera = sense.make_camera(self.camera, arrangement, parts_cache=parts_cache())
         plan: round.Plan = methods.plan
+
+        def given(observation: sense.Observation) -> round.GivenDepth:
+            frame = named_view(observation.frame, scene_name(item))
+            if self.save_views is not None:
+                save_view(self.save_views, frame, camera.T_world_cam)
+            return methods.given(frame)
+
         attempts = list(
             round.clear_table(
-                arrangement, camera, methods.given, plan,
-                color=methods.looks_at_color, attempts=self.attempts,
-                guarded=self.move == "guarded",
+                arrangement, camera, given, plan,
+                color=methods.looks_at_color or self.save_views is not None,
+                attempts=self.attempts, guarded=self.move == "guarded",
             )
         )  # fmt: skip
         if self.strips:
@@ -279,13 +240,15 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
                 value=name,
                 hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
             )
+    depths = [depth_choice(text) for text in config.depths]
     names = [
-        *(d for d in config.depths if d not in (RAW, TRUE)),
+        *(d.name for d in depths if d.is_restored),
         *(p for p in config.planners if p != ORACLE),
     ]
     options = options_by_method(config, names)
-    for name in (*config.depths, *config.planners, *filter(None, [config.label])):
+    for name in (*(d.name for d in depths), *config.planners, *filter(None, [config.label])):
         checked_label(plain_label(name))
+    depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
     return [
         GraspRun(
             depth=depth,
@@ -294,7 +257,6 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             rounds=config.rounds,
             seed=config.seed,
             out=config.out,
-            depth_options=options.get(depth, MethodOptions()),
             planner_options=options.get(planner, MethodOptions()),
             camera=config.camera,
             attempts=config.attempts,
@@ -303,8 +265,9 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             meshes_unit=config.meshes_unit,
             devices=config.devices,
             strips=config.gallery,
+            save_views=config.save_views,
         )
-        for planner, depth in product(config.planners, config.depths)
+        for planner, depth in product(config.planners, depths)
     ]
 
 

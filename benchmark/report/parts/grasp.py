@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmark.evaluation.depth_choice import RAW, TRUE
 from benchmark.evaluation.results import INDEX
 from benchmark.evaluation.tasks import grasp_results
-from benchmark.evaluation.tasks.grasp import ORACLE, RAW, STRIPS, TRUE
+from benchmark.evaluation.tasks.grasp import STRIPS
+from benchmark.evaluation.tasks.grasp_inputs import ORACLE
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
 from benchmark.report.page import MOST_PICTURED, ReportPart, left_out, table_files
