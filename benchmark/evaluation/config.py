@@ -177,8 +177,8 @@ class GraspConfig(NetworkConfig):
     planners: tuple[str, ...] = field(default=("antipodal",), metadata=_option("planner"))
     """antipodal, graspnet, oracle (knows where the objects are), package.module:Class, or
     file.py:Class"""
-    rounds: Count = 6
-    """tables to clear"""
+    rounds: Count | None = None
+    """tables to clear (6, or one for each of --scenes)"""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
     """decides every round and all noise"""
     camera: Literal["quick", "simulated"] = "quick"
@@ -192,6 +192,8 @@ class GraspConfig(NetworkConfig):
     """folder of meshes for the tables, CATEGORY/NAME.obj or with assets.json (built-in shapes)"""
     meshes_unit: Literal["m", "cm", "mm"] | None = None
     """unit of these meshes, which then keep their size (a size is drawn that the jaw can hold)"""
+    scenes: Path | None = None
+    """folder of labelled scenes, whose objects stand on the tables as they do there"""
     save_views: Path | None = None
     """write every view (colour, depth, camera) to scenes in this folder, for your own restorer"""
     label: str | None = None
@@ -213,6 +215,10 @@ class GraspConfig(NetworkConfig):
         check_lists(self, "depths", "planners")
         if self.meshes_unit is not None and self.meshes is None:
             raise ToolkitError("belongs to --meshes", field="meshes_unit", value=self.meshes_unit)
+        if self.scenes is not None and self.meshes is not None:
+            raise ToolkitError(
+                "tables are of --meshes or of --scenes", field="scenes", value=str(self.scenes)
+            )
         if self.label is not None and self.dump is None and len(self.planners) > 1:
             raise ToolkitError("names one planner, not several", field="label", value=self.label)
 

@@ -25,6 +25,7 @@ from benchmark.metrics.grasp.gripper import PANDA
 from benchmark.tabletop import depth_model, round, sense
 from benchmark.tabletop.arrange import arrange, round_seed
 from benchmark.tabletop.saved_views import named_view, save_view
+from benchmark.tabletop.scene_tables import open_scene_tables
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from sensors.assets import AssetSource
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
+
+_ROUNDS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,7 @@ class GraspRun(TaskRun[None, Methods]):
         move: `guarded` or `straight`.
         meshes, meshes_unit: folder of meshes for the tables and its unit; None for the built-in
             shapes.
+        scenes: folder of labelled scenes as tables, instead of dropped objects.
         devices: torch devices; each worker uses one.
         strips: save pictures of every attempt.
         save_views: folder to which the views are written; None for none.
@@ -73,6 +77,7 @@ class GraspRun(TaskRun[None, Methods]):
     move: Literal["guarded", "straight"] = "guarded"
     meshes: Path | None = None
     meshes_unit: Literal["m", "cm", "mm"] | None = None
+    scenes: Path | None = None
     devices: tuple[str, ...] = ("cpu",)
     strips: bool = True
     save_views: Path | None = None
@@ -87,7 +92,8 @@ class GraspRun(TaskRun[None, Methods]):
 
     @property
     def folder(self) -> Path:
-        shapes = f"-{self.meshes.resolve().name}" if self.meshes else ""
+        own = self.meshes or self.scenes
+        shapes = f"-{own.resolve().name}" if own else ""
         seeded = f"{self.camera}-seed{self.seed}{shapes}"
         return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
 
@@ -109,7 +115,12 @@ class GraspRun(TaskRun[None, Methods]):
         return open_source("folder", SourceOptions(root=self.meshes, unit=self.meshes_unit))
 
     def check_data(self) -> None:
-        _ = self.assets  # refused before anything runs
+        # Refused before anything runs.
+        _ = self.assets
+        if self.scenes is not None and self.rounds > (there := len(open_scene_tables(self.scenes))):
+            raise ToolkitError(
+                f"there is one table for each of {there} scenes", field="rounds", value=self.rounds
+            )
         logger.info("%s: %d rounds", self.title, self.rounds)
 
     def open(self) -> None:
@@ -155,6 +166,8 @@ class GraspRun(TaskRun[None, Methods]):
             meshes="" if self.meshes is None else self.meshes.resolve().name,
             meshes_sha256="" if self.meshes is None else _files_digest(self.meshes),
             meshes_unit=self.meshes_unit or "",
+            scenes="" if self.scenes is None else self.scenes.resolve().name,
+            scenes_sha256="" if self.scenes is None else open_scene_tables(self.scenes).digest(),
         )
         return GraspManifest(
             depth_label=self.depth_label,
@@ -175,10 +188,12 @@ class GraspRun(TaskRun[None, Methods]):
         """Clear the table of one round, and write its rows and pictures."""
         from sensors.simulation.simulated_set import parts_cache
 
-        arrangement = arrange(
-            round_seed(self.seed, item), assets=self.assets, parts_cache=parts_cache()
-        )
-        camera = sense.make_camera(self.camera, arrangement, parts_cache=parts_cache())
+        seed, cache = round_seed(self.seed, item), parts_cache()
+        if self.scenes is None:
+            arrangement = arrange(seed, assets=self.assets, parts_cache=cache)
+        else:
+            arrangement = open_scene_tables(self.scenes).arrange(item, seed, parts_cache=cache)
+        camera = sense.make_camera(self.camera, arrangement, parts_cache=cache)
         plan: round.Plan = methods.plan
 
         def given(observation: sense.Observation) -> round.GivenDepth:
@@ -207,9 +222,9 @@ class GraspRun(TaskRun[None, Methods]):
 
 
 def _files_digest(folder: Path) -> str:
-    """Hash of the names and sizes of all files of a folder."""
+    """Hash of the names and contents of all files of a folder."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    lines = [f"{path.relative_to(folder)} {path.stat().st_size}" for path in files]
+    lines = [f"{path.relative_to(folder)} {digest_file(path)}" for path in files]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
@@ -248,13 +263,14 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
     options = options_by_method(config, names)
     for name in (*(d.name for d in depths), *config.planners, *filter(None, [config.label])):
         checked_label(plain_label(name))
+    rounds = config.rounds or (len(open_scene_tables(config.scenes)) if config.scenes else _ROUNDS)
     depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
     return [
         GraspRun(
             depth=depth,
             planner=planner,
             label=config.label,
-            rounds=config.rounds,
+            rounds=rounds,
             seed=config.seed,
             out=config.out,
             planner_options=options.get(planner, MethodOptions()),
@@ -263,6 +279,7 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             move=config.move,
             meshes=config.meshes,
             meshes_unit=config.meshes_unit,
+            scenes=config.scenes,
             devices=config.devices,
             strips=config.gallery,
             save_views=config.save_views,

@@ -211,7 +211,7 @@ class GraspResult(Result[GraspManifest]):
     @property
     def name(self) -> RunName:
         setup = self.manifest.setup
-        shown = f"{setup.camera}, {setup.meshes}" if setup.meshes else setup.camera
+        shown = ", ".join(filter(None, (setup.camera, setup.meshes, setup.scenes)))
         return shown, setup.seed, self.manifest.planner_label, self.manifest.depth_label
 
     @property

@@ -62,7 +62,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     tables = _clearing_tables(results, printed_rows() if published else [])
     return ReportPart(
         title="Grasping: table clearing",
-        summary=f"{rounds} tables of 4 to 5 specular or transparent objects in simulation; "
+        summary=f"{rounds} simulated tables {_of_what(results)}; "
         f"planners: {planners}; depth: {depths}",
         sections=[
             page.Section("clearing", "Table clearing", [page.Paragraph(_DEFINITIONS), *tables]),
@@ -75,6 +75,13 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
         terminal=grasp_results.grasp_table(results),
         files=table_files((CSV, MARKDOWN, LATEX), tables, board_of(results)),
     )
+
+
+def _of_what(results: Sequence[grasp_results.GraspResult]) -> str:
+    """What stands on the tables."""
+    if any(r.manifest.setup.scenes for r in results):
+        return "with the objects of labelled scenes"
+    return "of 4 to 5 specular or transparent objects"
 
 
 def printed_rows() -> list[list[str]]:
