@@ -47,6 +47,7 @@ grasp_planners: Registry[PlannerFactory] = Registry(
     "std_toolkit.grasp_planners",
     {
         "antipodal": "benchmark.methods.grasp.antipodal.antipodal:Antipodal",
+        "flat-patches": "benchmark.methods.grasp.flat_patches:FlatPatches",
         "graspnet": "benchmark.methods.grasp.graspnet.graspnet:GraspNet",
     },
 )

@@ -17,11 +17,12 @@ from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSe
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_table, plan_dump
-from benchmark.evaluation.tasks.grasp_inputs import ORACLE, Methods
+from benchmark.evaluation.tasks.grasp_inputs import FLAT_PATCHES, ORACLE, SUCTION, Methods
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.methods.registry import MethodOptions, grasp_planners
-from benchmark.metrics.grasp.gripper import PANDA
+from benchmark.metrics.grasp.gripper import PANDA, Gripper
+from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop import depth_model, round, sense
 from benchmark.tabletop.arrange import arrange, round_seed
 from benchmark.tabletop.saved_views import named_view, save_view
@@ -55,6 +56,7 @@ class GraspRun(TaskRun[None, Methods]):
         camera: `quick` or `simulated`.
         attempts: maximum number of attempts per round.
         move: `guarded` or `straight`.
+        gripper: that executes the grasps.
         meshes, meshes_unit: folder of meshes for the tables and its unit; None for the built-in
             shapes.
         scenes: folder of labelled scenes as tables, instead of dropped objects.
@@ -75,6 +77,7 @@ class GraspRun(TaskRun[None, Methods]):
     camera: sense.CameraKind = "quick"
     attempts: int = round.MOST_ATTEMPTS
     move: Literal["guarded", "straight"] = "guarded"
+    gripper: Gripper | SuctionCup = PANDA
     meshes: Path | None = None
     meshes_unit: Literal["m", "cm", "mm"] | None = None
     scenes: Path | None = None
@@ -94,7 +97,8 @@ class GraspRun(TaskRun[None, Methods]):
     def folder(self) -> Path:
         own = self.meshes or self.scenes
         shapes = f"-{own.resolve().name}" if own else ""
-        seeded = f"{self.camera}-seed{self.seed}{shapes}"
+        tool = "" if self.gripper is PANDA else f"-{self.gripper.name}"
+        seeded = f"{self.camera}-seed{self.seed}{shapes}{tool}"
         return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
 
     @property
@@ -128,7 +132,8 @@ class GraspRun(TaskRun[None, Methods]):
 
     def make(self, device: str) -> Methods:
         depth = replace(self.depth, options=replace(self.depth.options, device=device))
-        return Methods(depth, self.planner, replace(self.planner_options, device=device))
+        options = replace(self.planner_options, device=device)
+        return Methods(depth, self.planner, options, self.gripper)
 
     def parts(self, methods: Methods) -> tuple[object, ...]:
         return methods.depths.restorer, methods.planner
@@ -149,7 +154,7 @@ class GraspRun(TaskRun[None, Methods]):
             depth_model_sha256=digest_file(depth_model.MODEL_FILE)
             if self.camera == "quick"
             else "",
-            gripper=PANDA.name,
+            gripper=self.gripper.name,
             planner=self.planner,
             planner_preset=planner.preset,
             planner_settings=dict(planner.settings),
@@ -206,14 +211,17 @@ class GraspRun(TaskRun[None, Methods]):
             round.clear_table(
                 arrangement, camera, given, plan,
                 color=methods.looks_at_color or self.save_views is not None,
-                attempts=self.attempts, guarded=self.move == "guarded",
+                gripper=self.gripper, attempts=self.attempts, guarded=self.move == "guarded",
             )
         )  # fmt: skip
         if self.strips:
             for attempt in attempts:
                 name = f"{scene_name(item)}-attempt-{attempt.number:02d}.png"
-                write_color(self.folder / STRIPS / name, attempt_strip(attempt))
-        rows = rows_of_round(item, arrangement, attempts, camera.T_world_cam)
+                write_color(
+                    self.folder / STRIPS / name, attempt_strip(attempt, gripper=self.gripper)
+                )
+        judged = not isinstance(self.gripper, SuctionCup)
+        rows = rows_of_round(item, arrangement, attempts, camera.T_world_cam, judged=judged)
         write_part(self.folder, item, item, rows)
         return len(attempts)
 
@@ -247,7 +255,17 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
         )
     if config.data is not None:
         raise ToolkitError("belongs to --dump", field="--data", value=str(config.data))
-    for name in config.planners:
+    suction = config.gripper == SUCTION
+    planners = config.planners or ((FLAT_PATCHES,) if suction else ("antipodal",))
+    if suction and ORACLE in planners:
+        raise ToolkitError(
+            "plans for the jaw alone",
+            field="--planner",
+            value=ORACLE,
+            hint="flat-patches with --depth gt",
+        )
+    gripper = SuctionCup(radius=config.cup_radius or SuctionCup.radius) if suction else PANDA
+    for name in planners:
         if name != ORACLE and ":" not in name and name not in grasp_planners.names():
             raise ToolkitError(
                 "no such planner",
@@ -258,10 +276,10 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
     depths = [depth_choice(text) for text in config.depths]
     names = [
         *(d.name for d in depths if d.is_restored),
-        *(p for p in config.planners if p != ORACLE),
+        *(p for p in planners if p != ORACLE),
     ]
     options = options_by_method(config, names)
-    for name in (*(d.name for d in depths), *config.planners, *filter(None, [config.label])):
+    for name in (*(d.name for d in depths), *planners, *filter(None, [config.label])):
         checked_label(plain_label(name))
     rounds = config.rounds or (len(open_scene_tables(config.scenes)) if config.scenes else _ROUNDS)
     depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
@@ -277,6 +295,7 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             camera=config.camera,
             attempts=config.attempts,
             move=config.move,
+            gripper=gripper,
             meshes=config.meshes,
             meshes_unit=config.meshes_unit,
             scenes=config.scenes,
@@ -284,7 +303,7 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             strips=config.gallery,
             save_views=config.save_views,
         )
-        for planner, depth in product(config.planners, depths)
+        for planner, depth in product(planners, depths)
     ]
 
 

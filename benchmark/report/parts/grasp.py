@@ -45,7 +45,7 @@ _PLANNED = (
     "GraspNet's average precision of all grasps planned on the first view of each table, which is "
     "the same for every planner and depth, judged by the true meshes: of the best 50 (10 for an "
     "object at most), those fail that hit something, have nothing between the fingers, or do not "
-    "hold; AP is the mean over frictions of 0.2 to 1.2."
+    "hold; AP is the mean over frictions of 0.2 to 1.2. It is not defined for suction."
 )
 
 
