@@ -143,6 +143,7 @@ restorers: Registry[RestorerFactory] = Registry(
         "lidf": "benchmark.methods.depth.lidf.lidf:LIDF",
         "cleargrasp": "benchmark.methods.depth.cleargrasp.cleargrasp:ClearGrasp",
         "dfnet": "benchmark.methods.depth.dfnet:DFNet",
+        "two-branch": "benchmark.methods.depth.two_branch:TwoBranch",
         "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
     },
 )
