@@ -97,7 +97,8 @@ class GraspRun(TaskRun[None, Methods]):
     def folder(self) -> Path:
         own = self.meshes or self.scenes
         shapes = f"-{own.resolve().name}" if own else ""
-        tool = "" if self.gripper is PANDA else f"-{self.gripper.name}"
+        # Compared by name: in another process it is another object.
+        tool = "" if self.gripper.name == PANDA.name else f"-{self.gripper.name}"
         seeded = f"{self.camera}-seed{self.seed}{shapes}{tool}"
         return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
 

@@ -113,7 +113,7 @@ def rates_of(table: pd.DataFrame) -> Rates:
     tried = views[views["executed"]]
     removed = objects["fate"].isin([GRASPED, LOST])
     won = tried["held"] > 0
-    first = views[views["attempt"] == 0]
+    first = views.drop_duplicates(INDEX)
     judged = first[first[PRECISION[0]].notna()]
     rounds = np.sort(objects[INDEX].unique())
     by_round = removed.groupby(objects[INDEX]).mean().reindex(rounds)

@@ -1,6 +1,7 @@
 """Suction on simple bodies: what seals is lifted, what is too heavy slips; the planner; a run."""
 
 import json
+import pickle
 
 import numpy as np
 import pandas as pd
@@ -8,11 +9,14 @@ import pytest
 import trimesh
 
 from benchmark.cli.bench import main
+from benchmark.evaluation.depth_choice import DepthChoice
+from benchmark.evaluation.tasks.grasp import GraspRun
 from benchmark.evaluation.tasks.grasp_results import plan_cells, read_grasp_run
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
 from benchmark.methods.grasp.flat_patches import FlatPatches
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions
+from benchmark.metrics.grasp.gripper import PANDA
 from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop.grasp import execute
 from benchmark.tabletop.sense import ExactCamera, camera_pose
@@ -109,6 +113,14 @@ def test_wrong_input_is_one_line(tmp_path, capsys, words, told, status):
     assert len(errors) == 1 and told in errors[0]
     assert main([*command[:1], *command[3:], "--cup-radius", "0.01"]) == 2
     assert "belongs to --gripper suction" in capsys.readouterr().err
+
+
+def test_the_folder_is_the_same_in_another_process(tmp_path):
+    depth, out = DepthChoice(name="gt"), tmp_path
+    for gripper, name in ((PANDA, "quick-seed0"), (CUP, "quick-seed0-suction-10mm")):
+        run = GraspRun(depth=depth, planner="antipodal", rounds=1, seed=0, out=out, gripper=gripper)
+        assert pickle.loads(pickle.dumps(run)).folder == run.folder
+        assert run.folder == out / "grasp" / name / "antipodal" / "gt"
 
 
 @pytest.mark.slow
