@@ -154,7 +154,7 @@ def open_scenes(name: str, top: Path, *, depth: int = 3) -> ToolkitScenes:
     Raises:
         ToolkitError: documents of a scene are damaged, or there is no scene.
     """
-    paths = sorted(_scene_folders(top, depth), key=lambda p: natural_key(str(p)))
+    paths = scene_folders(top, depth)
     if not paths:
         raise ToolkitError(
             "no toolkit scene here: no folder holds a scene.json",
@@ -172,6 +172,11 @@ def open_scenes(name: str, top: Path, *, depth: int = 3) -> ToolkitScenes:
             left_out[scene_name] = missing
         folders.append(loading.SceneFolder(scene_name, str(path), listed))
     return ToolkitScenes(name, loading.FrameIndex(tuple(folders)), left_out)
+
+
+def scene_folders(top: Path, depth: int = 3) -> list[Path]:
+    """Return the folders of all toolkit scenes at and below a folder, in natural order."""
+    return sorted(_scene_folders(top, depth), key=lambda p: natural_key(str(p)))
 
 
 def _scene_folders(folder: Path, depth: int) -> Iterator[Path]:

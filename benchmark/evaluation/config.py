@@ -173,12 +173,16 @@ class GraspConfig(NetworkConfig):
     task = "grasp"
 
     depths: tuple[str, ...] = field(default=("raw",), metadata=_option("depth"))
-    """depth that grasps are planned on: raw, gt, or restorers"""
-    planners: tuple[str, ...] = field(default=("antipodal",), metadata=_option("planner"))
-    """antipodal, graspnet, oracle (knows where the objects are), package.module:Class, or
-    file.py:Class"""
-    rounds: Count = 6
-    """tables to clear"""
+    """depth that grasps are planned on: raw, gt, restorers, or NAME=DIR of saved depth"""
+    planners: tuple[str, ...] | None = field(default=None, metadata=_option("planner"))
+    """antipodal, graspnet, oracle (knows where the objects are), flat-patches (for suction),
+    package.module:Class, or file.py:Class (antipodal, or flat-patches with --gripper suction)"""
+    gripper: Literal["panda", "suction"] = "panda"
+    """panda: a parallel jaw; suction: a suction cup"""
+    cup_radius: Annotated[float, msgspec.Meta(ge=0.002, le=0.05)] | None = None
+    """metres, of the suction cup (0.01)"""
+    rounds: Count | None = None
+    """tables to clear (6, or one for each of --scenes)"""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
     """decides every round and all noise"""
     camera: Literal["quick", "simulated"] = "quick"
@@ -192,6 +196,10 @@ class GraspConfig(NetworkConfig):
     """folder of meshes for the tables, CATEGORY/NAME.obj or with assets.json (built-in shapes)"""
     meshes_unit: Literal["m", "cm", "mm"] | None = None
     """unit of these meshes, which then keep their size (a size is drawn that the jaw can hold)"""
+    scenes: Path | None = None
+    """folder of labelled scenes, whose objects stand on the tables as they do there"""
+    save_views: Path | None = None
+    """write every view (colour, depth, camera) to scenes in this folder, for your own restorer"""
     label: str | None = None
     """name of the planner, or of the dump, in folders and tables"""
     dump: Path | None = None
@@ -208,10 +216,24 @@ class GraspConfig(NetworkConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_lists(self, "depths", "planners")
+        check_lists(self, "depths", *(["planners"] if self.planners is not None else []))
+        if self.cup_radius is not None and self.gripper != "suction":
+            raise ToolkitError(
+                "belongs to --gripper suction", field="cup_radius", value=self.cup_radius
+            )
+        if self.gripper == "suction" and self.move == "straight":
+            raise ToolkitError(
+                "is a move of the jaw; a suction cup stops where it touches",
+                field="move",
+                value=self.move,
+            )
         if self.meshes_unit is not None and self.meshes is None:
             raise ToolkitError("belongs to --meshes", field="meshes_unit", value=self.meshes_unit)
-        if self.label is not None and self.dump is None and len(self.planners) > 1:
+        if self.scenes is not None and self.meshes is not None:
+            raise ToolkitError(
+                "tables are of --meshes or of --scenes", field="scenes", value=str(self.scenes)
+            )
+        if self.label is not None and self.dump is None and len(self.planners or ()) > 1:
             raise ToolkitError("names one planner, not several", field="label", value=self.label)
 
 

@@ -174,11 +174,14 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         gripper: name of the gripper.
         move: `guarded` or `straight`, see `benchmark.tabletop.grasp`.
         meshes, meshes_sha256, meshes_unit: name of the user's folder of meshes, SHA-256 hash of
-            the names and sizes of its files, and its unit; empty for the built-in shapes.
+            the names and contents of its files, and its unit; empty for the built-in shapes.
+        scenes, scenes_sha256: name of the user's folder of scenes, and SHA-256 hash of their
+            documents and meshes; empty for objects that are dropped.
         planner, planner_preset, planner_settings, planner_weights_sha256: the planner and its
             options.
         depth, depth_preset, depth_settings, depth_weights_sha256: `raw` or `gt`, which have no
-            preset, or a restorer and its options.
+            preset, a restorer and its options, or the name of a folder.
+        depth_folder: folder of saved depth; otherwise empty.
         precision, compile, device: options of networks; device is its type, `cpu` or `cuda`.
     """
 
@@ -199,9 +202,12 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     compile: bool
     device: str
     move: str = "straight"
+    depth_folder: str = ""
     meshes: Name = ""
     meshes_sha256: str = ""
     meshes_unit: str = ""
+    scenes: Name = ""
+    scenes_sha256: str = ""
 
 
 class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

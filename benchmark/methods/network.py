@@ -17,6 +17,7 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from benchmark.methods import protocol, registry, weights
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import pixel_rays
 
 _PRECISIONS = {"fp32": None, "bf16": torch.bfloat16, "fp16": torch.float16}
 
@@ -166,6 +167,20 @@ def color_and_depth(views: Sequence[protocol.View], device: torch.device) -> tup
     depth = torch.from_numpy(np.stack([view.depth for view in views])).to(device)
     depth = torch.where(torch.isfinite(depth) & (depth > 0), depth, 0.0)
     return color.permute(0, 3, 1, 2).float() / 255, depth[:, None].float()
+
+
+def view_rays(views: Sequence[protocol.View], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Rays of the pixels of views at the size and on the device of `like` (b, c, h, w).
+
+    Returns:
+        (b, 3, h, w) directions with z = 1, and (b, 1, h, w) bool pixels that a ray reaches through
+        the lens; (0, 0, 1) elsewhere.
+    """
+    h, w = like.shape[-2:]
+    found = np.stack([pixel_rays(view.camera.resized(w, h)) for view in views])
+    rays = torch.from_numpy(found).to(like.device, torch.float32).permute(0, 3, 1, 2)
+    reached = rays.isfinite().all(dim=1, keepdim=True)
+    return torch.where(reached, rays, rays.new_tensor((0, 0, 1.0))[:, None, None]), reached
 
 
 def precisely(module: nn.Module, features: Tensor) -> Tensor:

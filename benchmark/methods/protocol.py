@@ -197,7 +197,12 @@ class GraspView:
 
 
 class GraspPlanner(Protocol):
-    """A method that finds grasps."""
+    """A method that finds grasps.
+
+    A planner for a suction cup has the attribute `gripper_kind = "suction"`; others are taken to be
+    for a jaw. A suction grasp has the middle of the lip at its tip, and its approach is the cup's
+    axis.
+    """
 
     def plan(self, view: GraspView) -> Grasps:
         """Grasps of what is seen, in the camera's frame, best first; none where it finds none.

@@ -47,6 +47,7 @@ grasp_planners: Registry[PlannerFactory] = Registry(
     "std_toolkit.grasp_planners",
     {
         "antipodal": "benchmark.methods.grasp.antipodal.antipodal:Antipodal",
+        "flat-patches": "benchmark.methods.grasp.flat_patches:FlatPatches",
         "graspnet": "benchmark.methods.grasp.graspnet.graspnet:GraspNet",
     },
 )
@@ -142,6 +143,7 @@ restorers: Registry[RestorerFactory] = Registry(
         "lidf": "benchmark.methods.depth.lidf.lidf:LIDF",
         "cleargrasp": "benchmark.methods.depth.cleargrasp.cleargrasp:ClearGrasp",
         "dfnet": "benchmark.methods.depth.dfnet:DFNet",
+        "two-branch": "benchmark.methods.depth.two_branch:TwoBranch",
         "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
     },
 )

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from benchmark.evaluation.depth_choice import RAW, TRUE, DepthChoice
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.tasks.pose import PoseRun
-from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE, DepthChoice
 from benchmark.evaluation.tasks.pose_results import (
     ALL,
     HARD,

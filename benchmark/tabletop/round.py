@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from benchmark.methods.protocol import GraspView
 from benchmark.metrics.grasp.grasp import Grasps
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
+from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop.arrange import Arrangement, TableObject, off_table
-from benchmark.tabletop.grasp import APPROACH_M, Execution, execute
+from benchmark.tabletop.grasp import execute
 from benchmark.tabletop.sense import Observation, TableCamera
+from benchmark.tabletop.trial import APPROACH_M, Execution
 from sensors.physics.rigid_bodies import World, come_to_rest
 from std_toolkit.geometry import SE3, Camera, rotation_angle
 
@@ -110,7 +112,7 @@ def clear_table(
     plan: Plan,
     *,
     color: bool,
-    gripper: Gripper = PANDA,
+    gripper: Gripper | SuctionCup = PANDA,
     attempts: int = MOST_ATTEMPTS,
     guarded: bool = True,
 ) -> Iterator[Attempt]:
@@ -158,7 +160,7 @@ def clear_table(
         state = following
 
 
-def choose(grasps: Grasps, memory: _Memory, gripper: Gripper) -> Grasps | None:
+def choose(grasps: Grasps, memory: _Memory, gripper: Gripper | SuctionCup) -> Grasps | None:
     """Return the best grasp that an arm above the table can reach; None if there is none.
 
     Grasps similar to failed ones of this round come last. Otherwise the same grasp would be
@@ -171,7 +173,7 @@ def choose(grasps: Grasps, memory: _Memory, gripper: Gripper) -> Grasps | None:
     return fine[0] if len(fine) else None
 
 
-def reachable(grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
+def reachable(grasps: Grasps, gripper: Gripper | SuctionCup) -> NDArray[np.bool_]:
     """Return the (N,) mask of grasps in the world frame from above and without table contact."""
     if not len(grasps):
         return np.zeros(0, bool)

@@ -93,6 +93,7 @@ trainables: Registry[Trainable] = Registry(
         "swindrnet": "benchmark.training.depth.depth_catalogue:SWINDRNET_TRAINING",
         "nlspn": "benchmark.training.depth.depth_catalogue:NLSPN_TRAINING",
         "dfnet": "benchmark.training.depth.depth_catalogue:DFNET_TRAINING",
+        "two-branch": "benchmark.training.depth.depth_catalogue:TWO_BRANCH_TRAINING",
         "lidf": "benchmark.training.depth.depth_catalogue:LIDF_TRAINING",
         "cleargrasp": "benchmark.training.depth.depth_catalogue:CLEARGRASP_TRAINING",
         "graspnet": "benchmark.training.grasp.grasp_catalogue:GRASPNET_TRAINING",

@@ -11,21 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
+from benchmark.evaluation.depth_choice import DepthChoice, depth_choice
 from benchmark.evaluation.engine import Task, TaskRun, weights_digest
-from benchmark.evaluation.frames import restore_views
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_table, plan_dump
+from benchmark.evaluation.tasks.grasp_inputs import FLAT_PATCHES, ORACLE, SUCTION, Methods
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
-from benchmark.methods.depth.full_size import at_full_size, restorer_view
-from benchmark.methods.protocol import GraspView, Restorer
-from benchmark.methods.registry import MethodOptions, grasp_planners, make_planner, make_restorer
-from benchmark.metrics.grasp.grasp import Grasps
-from benchmark.metrics.grasp.gripper import PANDA
+from benchmark.methods.registry import MethodOptions, grasp_planners
+from benchmark.metrics.grasp.gripper import PANDA, Gripper
+from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop import depth_model, round, sense
 from benchmark.tabletop.arrange import arrange, round_seed
+from benchmark.tabletop.saved_views import named_view, save_view
+from benchmark.tabletop.scene_tables import open_scene_tables
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
@@ -36,48 +37,7 @@ if TYPE_CHECKING:
 
 GRASP_FOLDER, STRIPS = "grasp", "strips"
 
-RAW, TRUE = "raw", "gt"
-
-# Uses the true object poses: the upper bound.
-ORACLE = "oracle"
-
-
-class Methods:
-    """Restorer and planner of a process."""
-
-    def __init__(self, run: GraspRun, device: str) -> None:
-        self.restorer: Restorer | None = None
-        if run.is_restored:
-            self.restorer = make_restorer(run.depth, replace(run.depth_options, device=device))
-        self.true = run.depth == TRUE
-        self.planner = None
-        if run.planner != ORACLE:
-            self.planner = make_planner(run.planner, replace(run.planner_options, device=device))
-
-    @property
-    def looks_at_color(self) -> bool:
-        """Whether colour is used: by any restorer, or by a planner with `needs_color`."""
-        return self.restorer is not None or bool(getattr(self.planner, "needs_color", False))
-
-    def given(self, observation: sense.Observation) -> round.GivenDepth:
-        """Return the depth to plan on at camera size; restored depth uses `at_full_size`."""
-        frame = observation.frame
-        if self.restorer is None:
-            depth = frame.depth_true if self.true else frame.depth_raw
-            return round.GivenDepth(frame.color, depth, frame.camera)
-        view = restorer_view(frame, self.restorer)
-        answer = restore_views(self.restorer, {0: view})[0]
-        if isinstance(answer, str):
-            raise ToolkitError(f"the restorer failed: {answer}")
-        return round.GivenDepth(frame.color, at_full_size(frame.depth_raw, answer), frame.camera)
-
-    def plan(self, view: GraspView, state: round.State) -> Grasps:
-        if self.planner is not None:
-            return self.planner.plan(view)
-        from benchmark.tabletop.oracle import plan_from_surfaces, surfaces_of
-
-        surfaces = surfaces_of([o.body for o in state.objects], state.poses)
-        return plan_from_surfaces(surfaces).transformed(sense.camera_pose().inverse())
+_ROUNDS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +48,7 @@ class GraspRun(TaskRun[None, Methods]):
     is therefore the same if rounds are interrupted, resumed or spread over workers.
 
     Attributes:
-        depth, depth_options: `raw`, `gt`, or a restorer and its options.
+        depth: depth that grasps are planned on.
         planner, planner_options: a registered planner, or `oracle`.
         label: name of the planner in tables.
         rounds, seed: number of rounds, and their seed.
@@ -96,33 +56,38 @@ class GraspRun(TaskRun[None, Methods]):
         camera: `quick` or `simulated`.
         attempts: maximum number of attempts per round.
         move: `guarded` or `straight`.
+        gripper: that executes the grasps.
         meshes, meshes_unit: folder of meshes for the tables and its unit; None for the built-in
             shapes.
+        scenes: folder of labelled scenes as tables, instead of dropped objects.
         devices: torch devices; each worker uses one.
         strips: save pictures of every attempt.
+        save_views: folder to which the views are written; None for none.
     """
 
     manifest_name, table_name, unit = GRASP_MANIFEST, ATTEMPTS, "rounds"
     network_shares_cpu = True
-    depth: str
+    depth: DepthChoice
     planner: str
     label: str | None = None
     rounds: int
     seed: int
     out: Path
-    depth_options: MethodOptions = field(default_factory=MethodOptions)
     planner_options: MethodOptions = field(default_factory=MethodOptions)
     camera: sense.CameraKind = "quick"
     attempts: int = round.MOST_ATTEMPTS
     move: Literal["guarded", "straight"] = "guarded"
+    gripper: Gripper | SuctionCup = PANDA
     meshes: Path | None = None
     meshes_unit: Literal["m", "cm", "mm"] | None = None
+    scenes: Path | None = None
     devices: tuple[str, ...] = ("cpu",)
     strips: bool = True
+    save_views: Path | None = None
 
     @property
     def depth_label(self) -> str:
-        return plain_label(self.depth)
+        return self.depth.label
 
     @property
     def planner_label(self) -> str:
@@ -130,18 +95,16 @@ class GraspRun(TaskRun[None, Methods]):
 
     @property
     def folder(self) -> Path:
-        shapes = f"-{self.meshes.resolve().name}" if self.meshes else ""
-        seeded = f"{self.camera}-seed{self.seed}{shapes}"
+        own = self.meshes or self.scenes
+        shapes = f"-{own.resolve().name}" if own else ""
+        # Compared by name: in another process it is another object.
+        tool = "" if self.gripper.name == PANDA.name else f"-{self.gripper.name}"
+        seeded = f"{self.camera}-seed{self.seed}{shapes}{tool}"
         return self.out / GRASP_FOLDER / seeded / self.planner_label / self.depth_label
 
     @property
     def title(self) -> str:
         return f"{self.planner_label} on {self.depth_label} depth"
-
-    @property
-    def is_restored(self) -> bool:
-        """Whether the depth comes from a restorer."""
-        return self.depth not in (RAW, TRUE)
 
     @property
     def assets(self) -> AssetSource | None:
@@ -157,17 +120,24 @@ class GraspRun(TaskRun[None, Methods]):
         return open_source("folder", SourceOptions(root=self.meshes, unit=self.meshes_unit))
 
     def check_data(self) -> None:
-        _ = self.assets  # refused before anything runs
+        # Refused before anything runs.
+        _ = self.assets
+        if self.scenes is not None and self.rounds > (there := len(open_scene_tables(self.scenes))):
+            raise ToolkitError(
+                f"there is one table for each of {there} scenes", field="rounds", value=self.rounds
+            )
         logger.info("%s: %d rounds", self.title, self.rounds)
 
     def open(self) -> None:
         """Open nothing: the tables are generated."""
 
     def make(self, device: str) -> Methods:
-        return Methods(self, device)
+        depth = replace(self.depth, options=replace(self.depth.options, device=device))
+        options = replace(self.planner_options, device=device)
+        return Methods(depth, self.planner, options, self.gripper)
 
     def parts(self, methods: Methods) -> tuple[object, ...]:
-        return methods.restorer, methods.planner
+        return methods.depths.restorer, methods.planner
 
     def begin_worker(self) -> None:
         """Use one thread: rounding of sums over threads depends on the number of threads."""
@@ -175,9 +145,9 @@ class GraspRun(TaskRun[None, Methods]):
             torch.set_num_threads(1)
 
     def manifest(self, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
-        planner, depth = self.planner_options, self.depth_options
+        planner, depth, folder = self.planner_options, self.depth.options, self.depth.folder
         # Precision, compile and device are the same for both.
-        network = depth if self.is_restored else planner
+        network = depth if self.depth.is_restored else planner
         setup = GraspSetup(
             seed=self.seed,
             attempts=self.attempts,
@@ -185,15 +155,16 @@ class GraspRun(TaskRun[None, Methods]):
             depth_model_sha256=digest_file(depth_model.MODEL_FILE)
             if self.camera == "quick"
             else "",
-            gripper=PANDA.name,
+            gripper=self.gripper.name,
             planner=self.planner,
             planner_preset=planner.preset,
             planner_settings=dict(planner.settings),
             planner_weights_sha256=weights_digest(self.planner, methods.planner, planner),
-            depth=self.depth,
-            depth_preset=depth.preset if self.is_restored else "",
+            depth=self.depth.name,
+            depth_preset=depth.preset if self.depth.is_restored else "",
             depth_settings=dict(depth.settings),
-            depth_weights_sha256=weights_digest(self.depth, methods.restorer, depth),
+            depth_weights_sha256=weights_digest(self.depth.name, methods.depths.restorer, depth),
+            depth_folder="" if folder is None else str(folder.resolve()),
             precision=network.precision,
             compile=network.compile,
             device=self.devices[0].partition(":")[0],
@@ -201,6 +172,8 @@ class GraspRun(TaskRun[None, Methods]):
             meshes="" if self.meshes is None else self.meshes.resolve().name,
             meshes_sha256="" if self.meshes is None else _files_digest(self.meshes),
             meshes_unit=self.meshes_unit or "",
+            scenes="" if self.scenes is None else self.scenes.resolve().name,
+            scenes_sha256="" if self.scenes is None else open_scene_tables(self.scenes).digest(),
         )
         return GraspManifest(
             depth_label=self.depth_label,
@@ -221,23 +194,35 @@ class GraspRun(TaskRun[None, Methods]):
         """Clear the table of one round, and write its rows and pictures."""
         from sensors.simulation.simulated_set import parts_cache
 
-        arrangement = arrange(
-            round_seed(self.seed, item), assets=self.assets, parts_cache=parts_cache()
-        )
-        camera = sense.make_camera(self.camera, arrangement, parts_cache=parts_cache())
+        seed, cache = round_seed(self.seed, item), parts_cache()
+        if self.scenes is None:
+            arrangement = arrange(seed, assets=self.assets, parts_cache=cache)
+        else:
+            arrangement = open_scene_tables(self.scenes).arrange(item, seed, parts_cache=cache)
+        camera = sense.make_camera(self.camera, arrangement, parts_cache=cache)
         plan: round.Plan = methods.plan
+
+        def given(observation: sense.Observation) -> round.GivenDepth:
+            frame = named_view(observation.frame, scene_name(item))
+            if self.save_views is not None:
+                save_view(self.save_views, frame, camera.T_world_cam)
+            return methods.given(frame)
+
         attempts = list(
             round.clear_table(
-                arrangement, camera, methods.given, plan,
-                color=methods.looks_at_color, attempts=self.attempts,
-                guarded=self.move == "guarded",
+                arrangement, camera, given, plan,
+                color=methods.looks_at_color or self.save_views is not None,
+                gripper=self.gripper, attempts=self.attempts, guarded=self.move == "guarded",
             )
         )  # fmt: skip
         if self.strips:
             for attempt in attempts:
                 name = f"{scene_name(item)}-attempt-{attempt.number:02d}.png"
-                write_color(self.folder / STRIPS / name, attempt_strip(attempt))
-        rows = rows_of_round(item, arrangement, attempts, camera.T_world_cam)
+                write_color(
+                    self.folder / STRIPS / name, attempt_strip(attempt, gripper=self.gripper)
+                )
+        judged = not isinstance(self.gripper, SuctionCup)
+        rows = rows_of_round(item, arrangement, attempts, camera.T_world_cam, judged=judged)
         write_part(self.folder, item, item, rows)
         return len(attempts)
 
@@ -246,9 +231,9 @@ class GraspRun(TaskRun[None, Methods]):
 
 
 def _files_digest(folder: Path) -> str:
-    """Hash of the names and sizes of all files of a folder."""
+    """Hash of the names and contents of all files of a folder."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    lines = [f"{path.relative_to(folder)} {path.stat().st_size}" for path in files]
+    lines = [f"{path.relative_to(folder)} {digest_file(path)}" for path in files]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
@@ -271,7 +256,17 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
         )
     if config.data is not None:
         raise ToolkitError("belongs to --dump", field="--data", value=str(config.data))
-    for name in config.planners:
+    suction = config.gripper == SUCTION
+    planners = config.planners or ((FLAT_PATCHES,) if suction else ("antipodal",))
+    if suction and ORACLE in planners:
+        raise ToolkitError(
+            "plans for the jaw alone",
+            field="--planner",
+            value=ORACLE,
+            hint="flat-patches with --depth gt",
+        )
+    gripper = SuctionCup(radius=config.cup_radius or SuctionCup.radius) if suction else PANDA
+    for name in planners:
         if name != ORACLE and ":" not in name and name not in grasp_planners.names():
             raise ToolkitError(
                 "no such planner",
@@ -279,32 +274,37 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
                 value=name,
                 hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
             )
+    depths = [depth_choice(text) for text in config.depths]
     names = [
-        *(d for d in config.depths if d not in (RAW, TRUE)),
-        *(p for p in config.planners if p != ORACLE),
+        *(d.name for d in depths if d.is_restored),
+        *(p for p in planners if p != ORACLE),
     ]
     options = options_by_method(config, names)
-    for name in (*config.depths, *config.planners, *filter(None, [config.label])):
+    for name in (*(d.name for d in depths), *planners, *filter(None, [config.label])):
         checked_label(plain_label(name))
+    rounds = config.rounds or (len(open_scene_tables(config.scenes)) if config.scenes else _ROUNDS)
+    depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
     return [
         GraspRun(
             depth=depth,
             planner=planner,
             label=config.label,
-            rounds=config.rounds,
+            rounds=rounds,
             seed=config.seed,
             out=config.out,
-            depth_options=options.get(depth, MethodOptions()),
             planner_options=options.get(planner, MethodOptions()),
             camera=config.camera,
             attempts=config.attempts,
             move=config.move,
+            gripper=gripper,
             meshes=config.meshes,
             meshes_unit=config.meshes_unit,
+            scenes=config.scenes,
             devices=config.devices,
             strips=config.gallery,
+            save_views=config.save_views,
         )
-        for planner, depth in product(config.planners, config.depths)
+        for planner, depth in product(planners, depths)
     ]
 
 

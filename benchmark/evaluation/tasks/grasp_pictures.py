@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from benchmark.evaluation.depth_panels import DepthScale, depth_picture
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
-from benchmark.tabletop.grasp import Stage
+from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop.round import Attempt
+from benchmark.tabletop.trial import Stage
 from sensors.physics import PhysicalObject
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3
@@ -34,7 +35,7 @@ _CLEAR = 0.75
 _HAND, _TABLE = (235, 140, 60), (232, 226, 214)
 
 
-def attempt_strip(attempt: Attempt, *, gripper: Gripper = PANDA) -> Image:
+def attempt_strip(attempt: Attempt, *, gripper: Gripper | SuctionCup = PANDA) -> Image:
     """Return `PANELS` side by side, (h, w, 3) uint8; stages that were not reached are empty."""
     frame = attempt.observation.frame
     known = frame.depth_true
@@ -52,7 +53,7 @@ def attempt_strip(attempt: Attempt, *, gripper: Gripper = PANDA) -> Image:
     return np.hstack([_titled(p, t) for p, t in zip(pictures, titles, strict=True)])
 
 
-def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper) -> Image:
+def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper | SuctionCup) -> Image:
     from sensors.viewpoints.views import look_at
 
     camera = Camera(WIDTH, HEIGHT, 260.0, 260.0, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)

@@ -36,6 +36,7 @@ from benchmark.evaluation.tasks.grasp_table import (
     OBJECT,
     PRECISION,
 )
+from benchmark.metrics.grasp.gripper import PANDA
 from benchmark.metrics.significance import mean_interval, paired_test
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import text_table
@@ -82,8 +83,10 @@ class Rates:
         completion_of: completion per object by material class.
         grasped, lost: number of objects held, and of objects beyond the edge of the table.
         outcomes: number of attempts by outcome, including views without a grasp.
-        precision: means over the first views of the tables, columns of `grasp_table`.
-        planned: mean number of grasps planned on a first view.
+        precision: means over the first views of the tables, columns of `grasp_table`; NaN of a
+            gripper for which it is not defined.
+        views: number of first views.
+        planned: mean number of grasps planned on one.
     """
 
     rounds: int
@@ -99,6 +102,7 @@ class Rates:
     lost: int
     outcomes: dict[str, int]
     precision: dict[str, Rate]
+    views: int
     planned: float
 
 
@@ -109,7 +113,8 @@ def rates_of(table: pd.DataFrame) -> Rates:
     tried = views[views["executed"]]
     removed = objects["fate"].isin([GRASPED, LOST])
     won = tried["held"] > 0
-    first = views[views[PRECISION[0]].notna()]
+    first = views.drop_duplicates(INDEX)
+    judged = first[first[PRECISION[0]].notna()]
     rounds = np.sort(objects[INDEX].unique())
     by_round = removed.groupby(objects[INDEX]).mean().reindex(rounds)
     won_by_round = _successes(table)
@@ -129,7 +134,8 @@ def rates_of(table: pd.DataFrame) -> Rates:
         grasped=int((objects["fate"] == GRASPED).sum()),
         lost=int((objects["fate"] == LOST).sum()),
         outcomes={str(k): int(n) for k, n in views["outcome"].value_counts().sort_index().items()},
-        precision={name: _rate(first[name], first[INDEX]) for name in PRECISION},
+        precision={name: _rate(judged[name], judged[INDEX]) for name in PRECISION},
+        views=len(first),
         planned=float(first["found"].mean()) if len(first) else float("nan"),
     )
 
@@ -211,7 +217,8 @@ class GraspResult(Result[GraspManifest]):
     @property
     def name(self) -> RunName:
         setup = self.manifest.setup
-        shown = f"{setup.camera}, {setup.meshes}" if setup.meshes else setup.camera
+        tool = "" if setup.gripper == PANDA.name else setup.gripper
+        shown = ", ".join(filter(None, (setup.camera, setup.meshes, setup.scenes, tool)))
         return shown, setup.seed, self.manifest.planner_label, self.manifest.depth_label
 
     @property
@@ -301,7 +308,7 @@ def plan_cells(result: GraspResult) -> list[str]:
     return [
         result.manifest.planner_label,
         result.manifest.depth_label,
-        str(r.precision["ap"].total),
+        str(r.views),
         f"{r.planned:.1f}",
         *(share(r.precision[name]) for name in PRECISION),
     ]

@@ -3,9 +3,9 @@
 Each round has a row of kind `object` for each object at its start, and a row of kind `attempt` for
 each view, with or without an executed grasp. The table does not depend on run time or machine.
 
-All grasps planned on the first view of a table are also scored on the true meshes with GraspNet's
-average precision. The first view is the same for all planners; later views differ, because only
-one grasp per view is executed.
+All grasps of a jaw planned on the first view of a table are also scored on the true meshes with
+GraspNet's average precision, which is not defined for suction. The first view is the same for all
+planners; later views differ, because only one grasp per view is executed.
 """
 
 from __future__ import annotations
@@ -64,7 +64,12 @@ def scene_name(index: int) -> str:
 
 
 def rows_of_round(
-    index: int, arrangement: Arrangement, attempts: Sequence[Attempt], T_world_cam: SE3
+    index: int,
+    arrangement: Arrangement,
+    attempts: Sequence[Attempt],
+    T_world_cam: SE3,
+    *,
+    judged: bool = True,
 ) -> list[dict[str, Any]]:
     """Return the rows of a round: its objects, then its attempts.
 
@@ -72,6 +77,7 @@ def rows_of_round(
         index: index of the round.
         arrangement, attempts: objects at the start, and attempts.
         T_world_cam: camera pose.
+        judged: whether planned grasps have an average precision: those of a jaw do.
     """
     base = {INDEX: index, SCENE: scene_name(index), FRAME: "", ERROR: ""}
     fates = {o.number: (LEFT, -1) for o in arrangement.objects}
@@ -93,7 +99,7 @@ def rows_of_round(
         }
         rows.append(base | {KIND: OBJECT} | _NOTHING | properties)
     views = [base | {KIND: ATTEMPT} | _NOTHING | _attempt(a) for a in attempts]
-    for view in views[:1]:
+    for view in views[: int(judged)]:
         view |= precision_of(attempts[0], T_world_cam)
     return rows + views
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmark.data.splits import DepthSource
 from benchmark.evaluation.config import PoseConfig, checked_label, options_by_method
+from benchmark.evaluation.depth_choice import RAW, DepthChoice, DepthProvider, depth_choice
 from benchmark.evaluation.engine import Task, weights_digest
 from benchmark.evaluation.frames import (
     Base,
@@ -29,7 +30,7 @@ POSE_FOLDER = "pose"
 
 AS_INPUT = "as-input"
 
-Methods = tuple[PoseEstimator, pose_inputs.DepthProvider]
+Methods = tuple[PoseEstimator, DepthProvider]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,7 @@ class PoseRun(FrameRun[Methods]):
     """
 
     manifest_name, table_name = POSE_MANIFEST, pose_table.POSES
-    depth: pose_inputs.DepthChoice
+    depth: DepthChoice
     fit: str = "ransac"
     as_input: bool = False
 
@@ -77,7 +78,7 @@ class PoseRun(FrameRun[Methods]):
     def make(self, device: str) -> Methods:
         options = replace(self.options, device=device, settings=self.settings)
         depth = replace(self.depth, options=replace(self.depth.options, device=device))
-        return make_pose_method(self.method, options), pose_inputs.DepthProvider(depth, self.split)
+        return make_pose_method(self.method, options), DepthProvider(depth, self.split)
 
     def parts(self, methods: Methods) -> tuple[object, ...]:
         method, depths = methods
@@ -163,7 +164,7 @@ def plan_runs(config: PoseConfig) -> list[PoseRun]:
             an unknown depth, or a label that cannot be the name of a folder.
     """
     _protocols(config)
-    depths = [pose_inputs.depth_choice(text) for text in config.depths]
+    depths = [depth_choice(text) for text in config.depths]
     restored = [depth.name for depth in depths if depth.is_restored]
     options = options_by_method(config, [*config.methods, *restored])
     for place, depth in enumerate(depths):
@@ -176,7 +177,7 @@ def plan_runs(config: PoseConfig) -> list[PoseRun]:
             depth=depth,
             fit=fit,
             # For raw depth the option would change only the name.
-            as_input=config.depth_as_input and depth.name != pose_inputs.RAW,
+            as_input=config.depth_as_input and depth.name != RAW,
         )
         for method, split, depth, fit in product(config.methods, config.splits, depths, config.fits)
     ]

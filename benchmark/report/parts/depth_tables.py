@@ -105,12 +105,15 @@ def run_table(results: Sequence[RunResult]) -> Table:
         settings = ", ".join(f"{k}={v}" for k, v in sorted(s.settings.items()))
         how = [s.preset, s.precision, *(["compiled"] if s.compile else []), settings]
         network = result.speed is not None and result.speed.parameters is not None
+        how = [h for h in how if h] if network or settings else [settings]
+        if s.released_loader:
+            how.append(f"authors' loader, batches of {s.released_loader}")
         failed = result.table.loc[result.table["error"] != "", "index"].nunique()
         cells = [
             Cell(text=m.label),
             Cell(text=f"{s.split}, {s.protocol}"),
             *counted(s.frames, result.missing, failed),
-            Cell(text=", ".join(h for h in how if h) if network or settings else settings),
+            Cell(text=", ".join(h for h in how if h)),
             *machine(s.weights_sha256[:12], m.hardware, m.version_of_tool),
         ]
         rows.append(Row(cells))

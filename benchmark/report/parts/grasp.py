@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmark.evaluation.depth_choice import RAW, TRUE
 from benchmark.evaluation.results import INDEX
 from benchmark.evaluation.tasks import grasp_results
-from benchmark.evaluation.tasks.grasp import ORACLE, RAW, STRIPS, TRUE
+from benchmark.evaluation.tasks.grasp import STRIPS
+from benchmark.evaluation.tasks.grasp_inputs import ORACLE
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
 from benchmark.published.load import published_rows
 from benchmark.report.page import MOST_PICTURED, ReportPart, left_out, table_files
@@ -43,7 +45,7 @@ _PLANNED = (
     "GraspNet's average precision of all grasps planned on the first view of each table, which is "
     "the same for every planner and depth, judged by the true meshes: of the best 50 (10 for an "
     "object at most), those fail that hit something, have nothing between the fingers, or do not "
-    "hold; AP is the mean over frictions of 0.2 to 1.2."
+    "hold; AP is the mean over frictions of 0.2 to 1.2. It is not defined for suction."
 )
 
 
@@ -60,7 +62,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     tables = _clearing_tables(results, printed_rows() if published else [])
     return ReportPart(
         title="Grasping: table clearing",
-        summary=f"{rounds} tables of 4 to 5 specular or transparent objects in simulation; "
+        summary=f"{rounds} simulated tables {_of_what(results)}; "
         f"planners: {planners}; depth: {depths}",
         sections=[
             page.Section("clearing", "Table clearing", [page.Paragraph(_DEFINITIONS), *tables]),
@@ -73,6 +75,13 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
         terminal=grasp_results.grasp_table(results),
         files=table_files((CSV, MARKDOWN, LATEX), tables, board_of(results)),
     )
+
+
+def _of_what(results: Sequence[grasp_results.GraspResult]) -> str:
+    """What stands on the tables."""
+    if any(r.manifest.setup.scenes for r in results):
+        return "with the objects of labelled scenes"
+    return "of 4 to 5 specular or transparent objects"
 
 
 def printed_rows() -> list[list[str]]:

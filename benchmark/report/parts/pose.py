@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.evaluation.tasks import bop_results, pose_inputs, pose_results
+from benchmark.evaluation import depth_choice
+from benchmark.evaluation.tasks import bop_results, pose_results
 from benchmark.metrics.significance import holm
 from benchmark.report.leaderboard import SIGNIFICANT
 from benchmark.report.page import ReportPart, table_files, terminal_text
@@ -159,7 +160,7 @@ def _p(p: float) -> str:
 
 
 def _is_true(compared: pose_board.Compared) -> bool:
-    return compared.scored.result.manifest.setup.depth == pose_inputs.TRUE
+    return compared.scored.result.manifest.setup.depth == depth_choice.TRUE
 
 
 def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:

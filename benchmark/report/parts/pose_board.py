@@ -16,8 +16,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmark.evaluation.config import FITS
+from benchmark.evaluation.depth_choice import RAW, TRUE
 from benchmark.evaluation.tasks import pose_results
-from benchmark.evaluation.tasks.pose_inputs import RAW, TRUE
 from benchmark.metrics.pose import PoseProtocol, get_pose_protocol
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
 from benchmark.published.load import published_poses

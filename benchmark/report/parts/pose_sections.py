@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from benchmark.evaluation.tasks import pose_inputs, pose_pictures, pose_results
+from benchmark.evaluation import depth_choice
+from benchmark.evaluation.tasks import pose_pictures, pose_results
 from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED, frames_of
 from benchmark.report.page import MOST_PICTURED, left_out
 from benchmark.report.parts import depth_tables
@@ -192,10 +193,10 @@ def run_table(results: Sequence[pose_results.PoseResult]) -> Table:
 
 def depth_colors(depths: list[str]) -> dict[str, str]:
     """Return the colour of each depth: raw grey, true green, restored ones all different."""
-    restored = [d for d in dict.fromkeys(depths) if d not in (pose_inputs.RAW, pose_inputs.TRUE)]
+    restored = [d for d in dict.fromkeys(depths) if d not in (depth_choice.RAW, depth_choice.TRUE)]
     colors = [c for c in OBJECT_COLORS if c != _TRUE_COLOR]
     found = {depth: colors[i % len(colors)] for i, depth in enumerate(restored)}
-    return {pose_inputs.RAW: _RAW_COLOR, **found, pose_inputs.TRUE: _TRUE_COLOR}
+    return {depth_choice.RAW: _RAW_COLOR, **found, depth_choice.TRUE: _TRUE_COLOR}
 
 
 def columns_by_depth(rows: pd.DataFrame, method: str, fit: str) -> str | None:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor, nn
 
 from benchmark.methods.depth.cleargrasp.cleargrasp_network import PRESETS as CLEARGRASP
 from benchmark.methods.depth.cleargrasp.cleargrasp_network import ClearGraspNetwork
@@ -16,6 +20,9 @@ from benchmark.methods.depth.nlspn import load_imagenet as load_resnet
 from benchmark.methods.depth.swindrnet.swindrnet import load_imagenet as load_swin
 from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS as SWINDRNET
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork
+from benchmark.methods.depth.two_branch import PRESETS as TWO_BRANCH
+from benchmark.methods.depth.two_branch import TwoBranchNetwork
+from benchmark.training import step
 from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
 from benchmark.training.depth import (
@@ -118,4 +125,38 @@ SWINDRNET_TRAINING = Trainable(
     geometry=False,
     imagenet=load_swin,
     idle=lambda config: config.fusion == "released",
+)
+
+
+def rays_step(
+    network: nn.Module,
+    loss: Any,
+    inputs: step.ModelInput,
+    step_info: step.StepInfo,  # noqa: ARG001
+) -> step.Loss:
+    """The step of a network from colour, depth and rays to `Prediction`."""
+    rays = depth_losses.points(torch.ones_like(inputs.depth), inputs.batch["K"])
+    prediction = step.in_full_precision(network(inputs.color, inputs.depth, rays))
+    with torch.autocast(inputs.color.device.type, enabled=False):
+        return loss(prediction, step.target_of(inputs.batch)._replace(sensor=inputs.depth))
+
+
+def rays_depth(network: nn.Module, batch: step.Batch) -> Tensor:
+    """(b, h, w) metres that such a network restores."""
+    color, depth = step.network_inputs(batch)
+    return network(color, depth, depth_losses.points(torch.ones_like(depth), batch["K"])).depth[
+        :, 0
+    ]
+
+
+# Its training is not published: that of SwinDRNet, which it is compared with.
+TWO_BRANCH_TRAINING = Trainable(
+    presets=TWO_BRANCH,
+    network=TwoBranchNetwork,
+    loss=depth_losses.SwinDRNetLoss(),
+    step=rays_step,
+    validator=partial(DepthValidator, restore=rays_depth),
+    optimization=Optimization(warmup_steps=500),
+    colors=True,
+    geometry=False,
 )

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmark.evaluation.depth_choice import DepthChoice
 from benchmark.evaluation.tasks.pose import PoseRun
-from benchmark.evaluation.tasks.pose_inputs import DepthChoice
 from benchmark.methods.pose.ground_truth import GroundTruthNOCS
 from benchmark.methods.protocol import Estimated, PoseView, Restored, View
 from benchmark.methods.registry import MethodOptions

@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from benchmark.data.frame import Material
+from benchmark.evaluation.depth_choice import DepthChoice
 from benchmark.evaluation.engine import UnusableMethod, run_task
 from benchmark.evaluation.manifest import POSE_MANIFEST
 from benchmark.evaluation.results import ERROR, INDEX
 from benchmark.evaluation.tasks.depth import save_depth
-from benchmark.evaluation.tasks.pose_inputs import DepthChoice
 from benchmark.evaluation.tasks.pose_results import (
     HARD,
     read_pose_results,
@@ -112,7 +112,7 @@ def test_restored_and_saved_depth(root: Path, tmp_path: Path) -> None:
 
 def test_restored_depth_has_the_size_and_the_details_of_the_sensor(root: Path) -> None:
     from benchmark.data.splits import open_split
-    from benchmark.evaluation.tasks.pose_inputs import DepthProvider
+    from benchmark.evaluation.depth_choice import DepthProvider
 
     frame = open_split(SPLIT, root).load(0)
     depth = DepthProvider(DepthChoice(name=f"{HERE}:Small"), SPLIT).depths({0: frame})[0]

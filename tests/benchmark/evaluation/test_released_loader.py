@@ -11,10 +11,13 @@ import pytest
 from benchmark.data.frame import BACKGROUND
 from benchmark.data.loading import read_id_mask
 from benchmark.evaluation.config import DepthConfig
+from benchmark.evaluation.engine import run_task
 from benchmark.evaluation.tasks.depth import Run
 from benchmark.methods.registry import MethodOptions
+from benchmark.report.parts.depth_tables import run_table
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.exr import write_exr
+from std_toolkit.jobs import JobOptions
 from tests.benchmark.evaluation.pose_set import SPLIT, write_pose_split
 
 
@@ -56,6 +59,12 @@ def test_ids_and_the_last_batch(root: Path, tmp_path: Path) -> None:
     assert released.manifest(truncated, released.make()).setup.released_loader == 2
     with pytest.raises(ToolkitError, match="fewer frames than a batch"):
         replace(released, released_loader=6).check(truncated)
+
+
+def test_the_report_says_so(root: Path, tmp_path: Path) -> None:
+    run = a_run(root, tmp_path, 2)
+    run_task(run, JobOptions(engine="serial"))
+    assert "authors' loader, batches of 2" in run_table([run.read()]).terminal()
 
 
 def test_it_is_for_the_paper_protocol_alone() -> None:

@@ -9,6 +9,7 @@ import trimesh
 
 from benchmark.cli.bench import main
 from benchmark.cli.report import main as report
+from benchmark.evaluation.depth_choice import DepthChoice
 from benchmark.evaluation.tasks.grasp import GraspRun
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
 
@@ -57,7 +58,7 @@ def test_resumed_and_parallel_runs_give_the_same_bytes(tmp_path, capsys):
     assert "2 rounds" in capsys.readouterr().err
     assert main([*words, "--rounds", "2", "--out", str(whole), "--workers", "2"]) == 0
     folders = [
-        GraspRun(depth="gt", planner="oracle", rounds=2, seed=3, out=out).folder
+        GraspRun(depth=DepthChoice(name="gt"), planner="oracle", rounds=2, seed=3, out=out).folder
         for out in (split, whole)
     ]
     first, second = (f.joinpath(ATTEMPTS).read_bytes() for f in folders)

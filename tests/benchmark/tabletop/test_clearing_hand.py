@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from benchmark.metrics.grasp import Grasps
-from benchmark.tabletop import grasp as hand_simulation
-from benchmark.tabletop.grasp import GRIP_N, LIFT_M, PAD_FRICTION, execute
+from benchmark.metrics.grasp.gripper import PANDA
+from benchmark.tabletop.grasp import GRIP_N, JawTrial, execute
+from benchmark.tabletop.trial import LIFT_M, PAD_FRICTION
 from std_toolkit.errors import ToolkitError
 from tests.benchmark.tabletop.clearing_cases import box, from_above, standing
 
@@ -85,9 +86,7 @@ def test_several_grasps_at_once_are_refused():
 
 
 def test_a_move_ends_where_it_was_sent():
-    hand = hand_simulation._Attempt(
-        [CUBE], [standing(CUBE)], from_above((0, 0, 0.015)), [0.15], hand_simulation.PANDA
-    )
+    hand = JawTrial([CUBE], [standing(CUBE)], from_above((0, 0, 0.015)), [0.15], PANDA)
     target = hand.data.ctrl[:3] + np.array([0.01, -0.02, 0.05])
     hand._move(target, 0.2)
     np.testing.assert_allclose(hand.data.ctrl[:3], target, atol=1e-12)

@@ -107,7 +107,7 @@ def test_from_packing_to_the_leaderboard(method, data, tmp_path, capsys):
 def test_training_learns(method, pack, tmp_path):
     """Nine frames by heart: the loss falls to less than half."""
     settings, rate = dict(TINY[method]), 3e-3
-    if method == "swindrnet":
+    if method in ("swindrnet", "two-branch"):
         settings, rate = settings | {"drop_path": "0", "dropout": "0"}, 1e-2
     if method == "cleargrasp":
         rate = 1e-2

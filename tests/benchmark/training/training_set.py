@@ -35,6 +35,17 @@ TINY = {
         "blocks": "1,1,1,1",
         "steps": "2",
     },
+    "two-branch": {
+        "input_size": f"{SIDE},{SIDE}",
+        "channels": "8",
+        "depths": "1,1,1,1",
+        "heads": "1,1,1,1",
+        "head_channels": "8",
+        "points": "256",
+        "centres": "64,32,16,8",
+        "neighbours": "8",
+        "point_channels": "8",
+    },
     "dfnet": {"input_size": f"{SIDE},{SIDE}", "channels": "8", "layers": "1"},
     "lidf": {
         "input_size": f"{SIDE},{SIDE}",

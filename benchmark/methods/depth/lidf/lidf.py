@@ -47,11 +47,10 @@ from benchmark.methods.depth.lidf.voxels import (
     points_on,
     true_pairs,
 )
-from benchmark.methods.network import NetworkRestorer, color_and_depth, network_of
+from benchmark.methods.network import NetworkRestorer, color_and_depth, network_of, view_rays
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import pixel_rays
 
 _MEAN = (0.485, 0.456, 0.406)
 
@@ -305,14 +304,7 @@ class LIDF(NetworkRestorer):
             ToolkitError: a view without a mask, which `mask=objects` needs.
         """
         color, depth = (self.resized(i) for i in color_and_depth(views, self.device))
-        h, w = depth.shape[-2:]
-        rays = np.stack([pixel_rays(view.camera.resized(w, h)) for view in views])
-        directions = torch.from_numpy(rays).to(self.device, torch.float32).permute(0, 3, 1, 2)
-        # Pixels that no ray reaches through the lens.
-        reached = directions.isfinite().all(dim=1, keepdim=True)
-        directions = torch.where(
-            reached, directions, directions.new_tensor((0, 0, 1.0))[:, None, None]
-        )
+        directions, reached = view_rays(views, depth)
         believed = (depth > 0) & reached
         if self.needs_mask:
             believed &= ~self.resized(self._masks(views)).bool()
