@@ -69,12 +69,17 @@ class Decomposition:
 
 
 def decompose(
-    vertices: Array, faces: NDArray[np.int64], *, time_limit_s: float = _TIME_LIMIT_S
+    vertices: Array,
+    faces: NDArray[np.int64],
+    *,
+    coarse: bool = False,
+    time_limit_s: float = _TIME_LIMIT_S,
 ) -> Decomposition:
     """Cut a surface with a bounding-box diagonal of 1 into convex parts (CoACD).
 
     Every vertex is inside a part, so that the collision bodies contain the whole surface. Closed
-    cavities are filled. If CoACD fails, a warning is logged and the convex hull is used.
+    cavities are filled. If CoACD fails, a warning is logged and the convex hull is used. `coarse`
+    uses the hull of every surface that fills at least 60 % of it.
 
     Raises:
         ToolkitError: coacd is not installed.
@@ -82,7 +87,7 @@ def decompose(
     shells, preprocess = _outer_shells(vertices, faces)
     corners = np.concatenate([v for v, _ in shells])
     filling = _filling(shells, corners)
-    if filling >= _CONVEX:
+    if filling >= (_OPEN if coarse else _CONVEX):
         return Decomposition((_hull(vertices),))
     threshold = _THRESHOLD_OPEN if filling < _OPEN else _THRESHOLD_FULL
     starts = np.cumsum([0, *(len(v) for v, _ in shells[:-1])])
@@ -268,27 +273,30 @@ def _holding_all(parts: list[Array], vertices: Array) -> tuple[Array, ...]:
     return tuple(grown)
 
 
-def convex_parts(asset: Asset, cache: Path | None = None) -> tuple[Array, ...]:
+def convex_parts(
+    asset: Asset, cache: Path | None = None, *, coarse: bool = False
+) -> tuple[Array, ...]:
     """Corners (N, 3) of the asset's convex parts, canonical coordinates.
 
     Args:
         cache: folder that caches them across runs; None disables the cache. Processes may share
             it: one process computes each shape while the others wait for it, a killed one leaves no
             partial file, and a damaged file is computed again.
+        coarse: see `decompose`.
 
     Raises:
         ToolkitError: the folder is not writable, or coacd is not installed.
     """
     if cache is None:
-        return decompose(asset.vertices, asset.faces).parts
-    key = _key(asset)
+        return decompose(asset.vertices, asset.faces, coarse=coarse).parts
+    key = _key(asset, coarse)
     path = cache / f"{key}.npz"
     if (kept := _read(path)) is not None:
         return kept
     with _lock(cache, key):
         if (kept := _read(path)) is not None:
             return kept
-        made = decompose(asset.vertices, asset.faces)
+        made = decompose(asset.vertices, asset.faces, coarse=coarse)
         if made.lasting:
             buffer = io.BytesIO()
             sizes = np.array([len(p) for p in made.parts])
@@ -297,7 +305,7 @@ def convex_parts(asset: Asset, cache: Path | None = None) -> tuple[Array, ...]:
     return made.parts
 
 
-def _key(asset: Asset) -> str:
+def _key(asset: Asset, coarse: bool) -> str:
     """Cache key: the shape, the settings and the decomposer's version."""
     from importlib.metadata import PackageNotFoundError, version
 
@@ -305,7 +313,8 @@ def _key(asset: Asset) -> str:
         coacd = version("coacd")
     except PackageNotFoundError:
         coacd = ""
-    made_of = json.dumps([_EDITION, coacd, SETTINGS, asset.content_hash], sort_keys=True)
+    settings = {**SETTINGS, "coarse": True} if coarse else SETTINGS
+    made_of = json.dumps([_EDITION, coacd, settings, asset.content_hash], sort_keys=True)
     return hashlib.sha256(made_of.encode()).hexdigest()[:40]
 
 

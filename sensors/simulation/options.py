@@ -29,6 +29,8 @@ QualityName = Literal["rough", "draft", "better", "fine"]
 
 PresetName = Literal["draft", "tiny", "dreds"]
 
+Collision = Literal["parts", "coarse"]
+
 TurntableMaterial = Literal["own", "sprayed", "glass", "steel"]
 
 _OFF: dict[str, Any] = {"option": None}
@@ -76,6 +78,9 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """which assets, maps and floors: train and test share none"""
     quality: QualityName = "draft"
     """light paths per pixel"""
+    collision: Collision = "parts"
+    """parts: objects collide as convex parts; coarse: those that fill at least 60 % of their convex
+    hull collide as the hull, and the decomposition takes half of its time"""
     matcher: str = "local"
     """stereo matcher: local, sgbm, dreds or a plug-in"""
     materials: MaterialSwitch = "mixed"

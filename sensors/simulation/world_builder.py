@@ -106,7 +106,11 @@ def build_world(
     drops = 0
     if poses is None:
         falling = [
-            PhysicalObject(asset, obj.diagonal_m, convex_parts(asset, parts_cache))
+            PhysicalObject(
+                asset,
+                obj.diagonal_m,
+                convex_parts(asset, parts_cache, coarse=options.collision == "coarse"),
+            )
             for asset, obj in zip(assets, draw.objects, strict=True)
         ]
         start = int(generator(draw.seed, "drop", options).integers(2**31))

@@ -56,6 +56,20 @@ def test_a_convex_body_costs_no_decomposition(
     assert len(parts) == 1 and len(parts[0]) == 8
 
 
+def test_coarse_parts_are_the_hull_of_all_but_vessels(tmp_path: Path) -> None:
+    # Two arms, which fill 0.71 of their hull.
+    arms = [((0, 0, 0), (3, 1, 1)), ((0, 0, 0), (1, 3, 1))]
+    corner = trimesh.boolean.union([trimesh.creation.box(bounds=arm) for arm in arms])
+    shape, cache = asset_of(corner), tmp_path / "cache"
+    fine = convex_parts(shape, cache)
+    (hull,) = convex_parts(shape, cache, coarse=True)
+    assert len(fine) > 1
+    assert outside((hull,), shape.vertices) < 1e-6
+    # The cache keeps them apart, and a vessel stays open.
+    assert len(convex_parts(shape, cache)) == len(fine)
+    assert len(convex_parts(ring(), cache, coarse=True)) >= 5
+
+
 def test_parts_hold_the_surface_and_leave_the_hole_open(capfd: pytest.CaptureFixture[str]) -> None:
     shape = ring()
     parts = convex_parts(shape)

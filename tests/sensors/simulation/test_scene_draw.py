@@ -133,7 +133,7 @@ def test_fixed_objects_lie_alike_in_all_scenes(monkeypatch) -> None:
     """Shapes, sizes and poses are shared; materials, light, floor and cameras are not."""
     # Convex hulls serve here, and take no time.
     monkeypatch.setattr(
-        world_builder, "convex_parts", lambda asset, _cache: (np.asarray(asset.vertices),)
+        world_builder, "convex_parts", lambda asset, _cache, **_: (np.asarray(asset.vertices),)
     )
     options = msgspec.structs.replace(
         OPTIONS, views=1, fix=("objects",), min_objects=3, max_objects=3

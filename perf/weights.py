@@ -1,0 +1,104 @@
+"""Shipped or given weights against the best filling, frame by frame.
+
+    python perf/weights.py TEST=SPLIT:ROOT ... [--weights DIR] [--limit 60] [--preset compact]
+
+For each test: RMSE in mm and share of pixels within 5 % on specular and transparent pixels, protocol
+`strict`, of every filling and of SwinDRNet, NLSPN and DFNet; and how often good depth is spoiled: the
+share of pixels of opaque objects whose sensor depth is within 5 mm of the truth and whose restored
+depth is more than 10 mm away, of the network's own map and of what `std-restore` returns. Fewer than
+ten frames are listed one by one. DIR holds METHOD-compact.safetensors; without it, shipped weights.
+Weights are chosen elsewhere, by simulated validation scenes: this script only judges them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(REPOSITORY))
+
+from benchmark.data.frame import DepthFrame, Material, resize_nearest  # noqa: E402
+from benchmark.data.splits import open_split  # noqa: E402
+from benchmark.methods.depth.full_size import restorer_view, to_full_size  # noqa: E402
+from benchmark.methods.protocol import Restored, Restorer  # noqa: E402
+from benchmark.methods.registry import MethodOptions, make_restorer  # noqa: E402
+from benchmark.metrics.protocols.protocol import get_protocol  # noqa: E402
+from benchmark.metrics.protocols.score import score_frame  # noqa: E402
+
+FILLINGS = ("nearest", "telea", "navier-stokes", "joint-bilateral", "colorization", "planes")
+NETWORKS = ("swindrnet", "nlspn", "dfnet")
+GOOD_M, SPOILED_M = 0.005, 0.010
+
+
+def spoiled(restored: np.ndarray, frame: DepthFrame) -> tuple[int, int]:
+    """Good pixels of opaque objects, and how many of them end far from the truth."""
+    size = (restored.shape[1], restored.shape[0])
+    sensor, true = resize_nearest(frame.depth_raw, size), resize_nearest(frame.depth_true, size)
+    opaque = resize_nearest(frame.mask_of(Material.RAW, Material.DIFFUSE), size)
+    good = opaque & (true > 0) & (sensor > 0) & (np.abs(sensor - true) <= GOOD_M)
+    return int(good.sum()), int((np.abs(restored - true)[good] > SPOILED_M).sum())
+
+
+def rows_of(name: str, restorer: Restorer, frame: DepthFrame) -> dict[str, object]:
+    protocol = get_protocol("strict")
+    (answer,) = restorer.restore([restorer_view(frame, restorer)])
+    found = {"method": name, "frame": frame.key}
+    for row in score_frame(answer.depth, frame, protocol):
+        if row.subset == "specular+transparent":
+            found |= {"rmse": 1000 * row.errors.rmse, "d105": 100 * row.errors.d105}
+    found["good"], found["spoiled"] = spoiled(answer.depth, frame)
+    if name in NETWORKS:
+        color = resize_nearest(frame.color, frame.depth_raw.shape[::-1])
+        whole = to_full_size(frame.depth_raw, Restored(answer.depth, answer.confidence), color)
+        found["whole_good"], found["whole_spoiled"] = spoiled(whole.depth, frame)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("tests", nargs="+", metavar="TEST=SPLIT:ROOT")
+    parser.add_argument("--weights", type=Path)
+    parser.add_argument("--limit", type=int, default=60)
+    parser.add_argument("--methods", nargs="+", default=[*FILLINGS, *NETWORKS])
+    args = parser.parse_args()
+    made = {}
+    for name in args.methods:
+        own = args.weights and args.weights / f"{name}-compact.safetensors"
+        if name in NETWORKS and own and not own.is_file():
+            continue
+        given = own if name in NETWORKS else None
+        made[name] = make_restorer(name, MethodOptions(preset="compact", weights=given or None))
+    for test in args.tests:
+        title, _, where = test.partition("=")
+        split, _, root = where.partition(":")
+        source = open_split(split, Path(root))
+        count = min(args.limit, len(source))
+        found: dict[str, list[dict[str, object]]] = defaultdict(list)
+        for index in (i * len(source) // count for i in range(count)):
+            frame = source.load(index)
+            for name, restorer in made.items():
+                found[name].append(rows_of(name, restorer, frame))
+        table = pd.DataFrame([row for rows in found.values() for row in rows])
+        print(f"\n{title}: {count} frames of {root}")
+        mean = table.groupby("method", sort=False)[["rmse", "d105"]].mean()
+        sums = table.groupby("method", sort=False)[
+            [c for c in table.columns if c.endswith(("good", "spoiled"))]
+        ].sum()
+        mean["spoiled %"] = 100 * sums["spoiled"] / sums["good"].clip(lower=1)
+        if "whole_good" in sums:
+            shares = 100 * sums["whole_spoiled"] / sums["whole_good"].clip(lower=1)
+            mean["spoiled, std-restore %"] = shares.where(sums["whole_good"] > 0)
+        print(mean.round(2).to_string())
+        if count < 10:
+            print(table.pivot_table(index="method", columns="frame", values=["rmse", "d105"],
+                                    sort=False).round(1).to_string())  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
