@@ -25,7 +25,10 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import read_document
 
-_SHOWN_OPTIONS = ("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth")
+_SHOWN_OPTIONS = (
+    *("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth"),
+    "collision",
+)
 
 _MIB = 2**20
 
@@ -166,6 +169,16 @@ def _how(
     ]
     if config["geometry"]:
         rows.append(("augmented", "frames turned, mirrored and enlarged, beside colour"))
+    if config.get("replace"):
+        rows.append(
+            (
+                "measured otherwise",
+                f"objects in {config['replace']:g} of the frames have no depth, that of the "
+                "background, or the true one, drawn at every step",
+            )
+        )
+    if config.get("beginning") and not note.earlier:
+        rows.append(("began with", f"{config['beginning']} (hash of the file)"))
     for stage in note.earlier:
         sizes = ", ".join(sorted({f"{w}x{h}" for w, h in stage.sizes}))
         moved = ", turned, mirrored and enlarged" if stage.geometry else ""
