@@ -16,11 +16,13 @@ from benchmark.data.frame import DepthFrame, Material, nearest_indices, resize_n
 from benchmark.methods.protocol import Restored, Restorer, View
 from std_toolkit.geometry.camera import Camera
 
-# Metres: neighbours farther apart are not of one surface; and how far the sensor may be from
-# what was restored around it, to be believed.
-_EDGE, _NEAR = 0.015, 0.01
+# Metres: neighbours farther apart are not of one surface.
+_EDGE = 0.015
 
-_TRUSTED = 0.5
+# The sensor is believed this near (metres) to what was restored around it, from this confidence on.
+# Chosen on simulated validation scenes as the nearest that spoil less than 1 % of good pixels of
+# opaque objects: 0.7 %, at 26.1 mm on glass and metal; 1 cm and 0.5 give 3.0 % and 23.8 mm.
+_NEAR, _TRUSTED = 0.015, 0.2
 
 _BEYOND = 1e6  # metres, farther than anything
 

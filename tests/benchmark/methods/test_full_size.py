@@ -51,7 +51,7 @@ def test_a_trusted_sensor_keeps_its_pixels_and_edges(confidence):
 
 def test_a_doubted_sensor_is_not_heard():
     sensor = step() + np.float32(0.004)
-    found = at_full_size(sensor, restored(step(), 0.2))
+    found = at_full_size(sensor, restored(step(), 0.1))
     assert set(np.unique(found)) == set(np.unique(step()))
 
 
