@@ -1,13 +1,14 @@
 """Shipped or given weights against the best filling, frame by frame.
 
-    python perf/weights.py TEST=SPLIT:ROOT ... [--weights DIR] [--limit 60] [--preset compact]
+    python perf/weights.py TEST=SPLIT:ROOT ... [--weights DIR] [--limit 60]
 
-For each test: RMSE in mm and share of pixels within 5 % on specular and transparent pixels, protocol
-`strict`, of every filling and of SwinDRNet, NLSPN and DFNet; and how often good depth is spoiled: the
-share of pixels of opaque objects whose sensor depth is within 5 mm of the truth and whose restored
-depth is more than 10 mm away, of the network's own map and of what `std-restore` returns. Fewer than
-ten frames are listed one by one. DIR holds METHOD-compact.safetensors; without it, shipped weights.
-Weights are chosen elsewhere, by simulated validation scenes: this script only judges them.
+For each test: RMSE in mm and share of pixels within 5 % on specular and transparent pixels,
+protocol `strict`, of every filling and of SwinDRNet, NLSPN and DFNet; and how often good depth is
+spoiled: the share of pixels of opaque objects whose sensor depth is within 5 mm of the truth and
+whose restored depth is more than 10 mm away, of the network's own map and of what `std-restore`
+returns. Fewer than ten frames are listed one by one. DIR holds METHOD-compact.safetensors; without
+it, shipped weights. Weights are chosen elsewhere, by simulated validation scenes: this script only
+judges them.
 """
 
 from __future__ import annotations

@@ -139,8 +139,8 @@ class Restorer:
         """Restore the depth of one frame.
 
         The method works at its own size. Its answer is brought to the camera's size, guided by
-        colour. Pixels that the method trusts, and whose measurement is within 1.5 cm of the restored
-        depth around them, keep the sensor's depth as measured.
+        colour. Pixels that the method trusts, and whose measurement is within 1.5 cm of the
+        restored depth around them, keep the sensor's depth as measured.
 
         Args:
             color: (H, W, 3) uint8 RGB.
