@@ -260,9 +260,7 @@ class EdgeMap:
         return self.response[k, v, u]
 
 
-def edge_direction(
-    image: Array32, at: NDArray[np.intp] | None = None
-) -> tuple[Array32, Array32]:
+def edge_direction(image: Array32, at: NDArray[np.intp] | None = None) -> tuple[Array32, Array32]:
     """Strength of the largest change at every pixel and its direction's angle in [0, pi).
 
     All channels are combined (Di Zenzo's structure tensor, without smoothing).
