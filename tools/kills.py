@@ -2,15 +2,18 @@
 
     python tools/kills.py [COMMAND ...] [--kills 50] [--seed 0] [--work DIR]
 
-Commands: curate (`std-curate run`), bench, restore, sim; all by default. A third of the
-kills each are SIGKILL, SIGTERM and SIGINT. The latter two must end the command within 5 s, with a
-line that says how to resume. Prints a line per kill and a table; exits with 1 after a fault.
+Commands: curate (`std-curate run`), bench, restore, sim, scan, train, annotate (a script of edits
+and saves), web and window (`std-annotate` with edits that were not saved, which are saved at the
+end); all by default. A third of the kills each are SIGKILL, SIGTERM and SIGINT. The latter two must
+end the command within 5 s, with a line that says how to resume. Prints a line per kill and a
+table; exits with 1 after a fault.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import os
 import random
 import shutil
@@ -22,10 +25,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 LIMIT_S = 5.0
 LONGEST_S = 1800.0
+CHAIN = 5  # kills of a command that does not end by itself before its work is compared
 RECORDING = ("--frames", "12", "--size", "320", "240", "--arc", "33")
 
 
@@ -38,12 +43,16 @@ class Case:
         begin: puts what the command begins with into that folder.
         products: parts of paths that are compared; empty for all files.
         leave_out: parts of paths that differ between two undisturbed runs.
+        last: the command that ends the work of one that runs until it is stopped.
+        without: keys of JSON files that differ between two undisturbed runs.
     """
 
     words: Callable[[Path], list[str]]
     begin: Callable[[Path], None] = lambda out: None  # noqa: ARG005
     products: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
+    last: Callable[[Path], list[str]] | None = None
+    without: tuple[str, ...] = ()
 
     def contents(self, out: Path) -> dict[str, str]:
         found = {}
@@ -51,8 +60,18 @@ class Case:
             name = path.relative_to(out).as_posix()
             chosen = not self.products or any(part in name for part in self.products)
             if chosen and not any(part in name for part in self.leave_out):
-                found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+                content = path.read_bytes()
+                if self.without and path.suffix == ".json":
+                    content = json.dumps(_without(json.loads(content), self.without)).encode()
+                found[name] = hashlib.sha256(content).hexdigest()
         return found
+
+
+def _without(value: Any, keys: tuple[str, ...]) -> Any:
+    """A JSON value without these keys, at any depth."""
+    if isinstance(value, dict):
+        return {k: _without(v, keys) for k, v in value.items() if k not in keys}
+    return [_without(v, keys) for v in value] if isinstance(value, list) else value
 
 
 @dataclass
@@ -77,7 +96,25 @@ def run(words: list[str]) -> None:
         sys.exit(f"{' '.join(words)}\n{done.stdout}{done.stderr}")
 
 
-def cases(top: Path) -> dict[str, Case]:
+def cases(top: Path, names: list[str]) -> dict[str, Case]:
+    """The commands of these names, with their inputs."""
+    makers = {
+        ("curate", "bench", "restore", "sim"): _scenes,
+        ("scan",): _scan,
+        ("train",): _train,
+        ("annotate", "web", "window"): _annotate,
+    }
+    unknown = set(names) - {name for group in makers for name in group}
+    if unknown:
+        sys.exit(f"no such command: {', '.join(sorted(unknown))}")
+    found: dict[str, Case] = {}
+    for group, make in makers.items():
+        if not names or set(names) & set(group):
+            found.update(make(top))
+    return {name: found[name] for name in names or found}
+
+
+def _scenes(top: Path) -> dict[str, Case]:
     """The commands on a synthetic recording and its labelled scene."""
     recording, labelled, solved = top / "recording", top / "labelled", top / "data" / "solved"
     if not (recording / "truth.json").exists():
@@ -130,6 +167,93 @@ def cases(top: Path) -> dict[str, Case]:
     }  # fmt: skip
 
 
+def _scan(top: Path) -> dict[str, Case]:
+    """A painted ball in 16 photos of 160x120 with known cameras."""
+    from tests.std_toolkit.scanning.test_scan_step import write_photos
+
+    if not (top / "cameras.json").exists():
+        shutil.rmtree(top / "photos", ignore_errors=True)
+        write_photos(top / "photos")
+    small = ("--faces", 2000, "--texture", 128, "--voxels", 60, "--engine", "serial")
+    case = Case(
+        lambda out: module(
+            "std_toolkit.cli.programs", "std-scan", "photos", top / "photos", "--out", out / "ball",
+            "--intrinsics", "260,260,79.5,59.5", "--cameras", top / "cameras.json", *small,
+        ),
+        products=(".obj", ".mtl", ".png", ".glb", ".ply"),
+        leave_out=(".std/", "work/"),
+    )  # fmt: skip
+    return {"scan": case}
+
+
+def _train(top: Path) -> dict[str, Case]:
+    """A tiny DFNet: the same steps and the same weights."""
+    from tests.benchmark.training.training_set import TINY, packed, write_scenes
+
+    pack = top / "pack"
+    if not pack.exists():
+        packed(pack, write_scenes(top / "dreds"))
+    case = Case(
+        lambda out: module(
+            "benchmark.cli.train", "--method", "dfnet", "--data", pack, "--steps", 60,
+            "--set", *(f"{name}={value}" for name, value in TINY["dfnet"].items()),
+            "--batch-size", 4, "--hold-out", 0.3, "--checkpoint-every", 2, "--validate-every", 20,
+            "--readers", 1, "--accelerator", "cpu", "--out", out / "run",
+        ),
+        products=("last.safetensors", "best.safetensors", "best.json"),
+    )  # fmt: skip
+    return {"train": case}
+
+
+def _annotate(top: Path) -> dict[str, Case]:
+    """A script of edits and saves; a window and a web server with edits that were not saved."""
+    from std_toolkit.scene import Scene
+    from tests.scene_on_disk import write_scene
+
+    scene, edited = top / "annotated", top / "edited"
+    program = "annotator.cli", "open"
+    options = ("--annotator", "kills", "--recover", "yes")
+    if not edited.exists():
+        shutil.rmtree(scene, ignore_errors=True)
+        write_scene(scene)
+        label = Scene.open(scene).labels.of(1)
+        assert label is not None
+        poses = [list(label.T_cam_obj) for _ in range(60)]
+        for k, pose in enumerate(poses):
+            pose[3] += 1e-4 * k
+        edits: list[dict[str, Any]] = []
+        for k, pose in enumerate(poses):
+            change = {"object": "box_1", "frame": 0, "T_cam_obj": pose}
+            edits += [{"edit": "set_poses", "changes": [change]}]
+            edits += [{"edit": "save"}] * (k % 3 == 2)
+        (top / "edits.json").write_text(json.dumps(edits))
+        (top / "some.json").write_text(json.dumps([e for e in edits if e["edit"] != "save"][:20]))
+        (top / "save.json").write_text(json.dumps([{"edit": "save"}]))
+        shutil.copytree(scene, edited)
+        run(module(*program, edited, "--script", top / "some.json", *options))
+
+    def saved(out: Path) -> list[str]:
+        return module(*program, out, "--script", top / "save.json", *options)
+
+    kept: dict[str, Any] = {
+        "products": ("labels.json", "objects.json", "poses.json", "frames.json", "scene.json"),
+        "leave_out": (".std/",),
+        "without": ("provenance", "updated"),
+    }
+    started: dict[str, Any] = {
+        **kept, "begin": lambda out: shutil.copytree(edited, out, dirs_exist_ok=True), "last": saved
+    }  # fmt: skip
+    return {
+        "annotate": Case(
+            lambda out: module(*program, out, "--script", top / "edits.json", *options),
+            lambda out: shutil.copytree(scene, out, dirs_exist_ok=True),  # type: ignore[arg-type, return-value]
+            **kept,
+        ),
+        "web": Case(lambda out: module(*program, out, "--web", 0, *options), **started),
+        "window": Case(lambda out: module(*program, out, *options), **started),
+    }
+
+
 def _label(recording: Path, labelled: Path) -> None:
     import numpy as np
 
@@ -163,9 +287,10 @@ def attack(name: str, case: Case, top: Path, kills: int, moments: random.Random)
     shutil.rmtree(whole, ignore_errors=True)
     whole.mkdir()
     case.begin(whole)
+    ends = case.last or case.words
     began = time.monotonic()
-    run(case.words(whole))
-    seconds = time.monotonic() - began
+    run(ends(whole))
+    seconds = (time.monotonic() - began) * (3 if case.last else 1)  # a server is up later
     expected = case.contents(whole)
     print(f"{name}: {len(expected)} files in {seconds:.1f} s undisturbed", flush=True)
     while tally.kills < kills:
@@ -174,12 +299,12 @@ def attack(name: str, case: Case, top: Path, kills: int, moments: random.Random)
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir()
         case.begin(out)
-        reach = 0.6
+        reach, first = 0.6, tally.kills
         while True:
-            wanted = tally.kills < kills
+            wanted = tally.kills < kills and not (case.last and tally.kills - first == CHAIN)
             how = SIGNALS[tally.kills % len(SIGNALS)] if wanted else None
             limit = moments.uniform(0.02, reach) * seconds if wanted else LONGEST_S
-            if not _killed(name, case.words(out), how, limit, tally):
+            if not _killed(name, case.words(out) if wanted else ends(out), how, limit, tally):
                 break
             reach = min(1.2 * reach, 1.5)  # a run that is always killed early never ends
         found = case.contents(out)
@@ -238,13 +363,16 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help="folder for inputs, kept for the next call")
     args = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    if "DISPLAY" not in os.environ:
+        os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    # Small inputs are written by the tests.
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     with tempfile.TemporaryDirectory() as folder:
         top = args.work or Path(folder)
         top.mkdir(parents=True, exist_ok=True)
-        known = cases(top)
         tallies = {}
-        for name in args.commands or known:
-            tallies[name] = attack(name, known[name], top, args.kills, random.Random(args.seed))
+        for name, case in cases(top, args.commands).items():
+            tallies[name] = attack(name, case, top, args.kills, random.Random(args.seed))
             print(f"{name}: {tallies[name]}", flush=True)
     print("\ncommand   kills  chains  slowest end  faults")
     for name, tally in tallies.items():

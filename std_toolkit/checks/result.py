@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -372,8 +374,10 @@ def _flat(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _csv(rows: Sequence[dict[str, Any]], columns: list[str]) -> bytes:
-    import pandas as pd
-
-    # dtype object: integers in a column with missing values must not become floats.
-    table = pd.DataFrame(list(rows), columns=columns, dtype=object)
-    return str(table.to_csv(index=False, lineterminator="\n")).encode()
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    for row in rows:
+        values = (row.get(name) for name in columns)
+        table.writerow("" if v is None or v != v else v for v in values)  # NaN is empty too
+    return text.getvalue().encode()

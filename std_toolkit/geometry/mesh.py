@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh_damage import check_whole, warn_of_loose_vertices
 from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
+from std_toolkit.geometry.ray_caster import import_open3d
 
 if TYPE_CHECKING:
     import trimesh
@@ -117,7 +118,7 @@ def decimate_mesh(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
     Raises:
         ToolkitError: `faces` is less than 4.
     """
-    import open3d as o3d
+    o3d = import_open3d()
     import trimesh
 
     if faces < 4:
@@ -148,7 +149,8 @@ def decimate_mesh(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
 def _reduced(fine: Any, faces: int) -> Any:
     """An Open3D mesh reduced to `faces` faces, vertices coloured as the nearest old ones."""
     import fast_simplification
-    import open3d as o3d
+
+    o3d = import_open3d()
     from scipy.spatial import cKDTree
 
     old = np.asarray(fine.vertices)

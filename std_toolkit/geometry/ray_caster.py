@@ -2,10 +2,46 @@
 
 from __future__ import annotations
 
+import sys
+import threading
+from collections.abc import Callable
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+_PLOTS = "open3d.visualization.draw_plotly"
+_lock = threading.Lock()
+
+
+def import_open3d() -> ModuleType:
+    """The package Open3D, without the web server that its import starts up for plots.
+
+    That is most of the time of its import. The functions that need it import it when called.
+    """
+    with _lock:
+        begun = "open3d" in sys.modules
+        if not begun:
+            plots = sys.modules[_PLOTS] = ModuleType(_PLOTS)
+            for name in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
+                setattr(plots, name, _plot_later(name))
+        try:
+            import open3d
+        finally:
+            if not begun:
+                del sys.modules[_PLOTS]
+    return open3d
+
+
+def _plot_later(name: str) -> Callable[..., Any]:
+    def plot(*args: Any, **options: Any) -> Any:
+        from importlib import import_module
+
+        return getattr(import_module(_PLOTS), name)(*args, **options)
+
+    plot.__name__ = name
+    return plot
 
 
 class RayHits(NamedTuple):
@@ -40,8 +76,7 @@ class RayCaster:
     def __init__(
         self, vertices: ArrayLike | None = None, faces: ArrayLike = (), *, threads: int = 0
     ) -> None:
-        import open3d as o3d
-
+        o3d = import_open3d()
         self._threads = threads
         self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=threads)

@@ -7,7 +7,7 @@ at hand. Symmetries that the model declares are no alternatives.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -88,8 +88,7 @@ class NearSymmetry:
         faces: (F, 3) triangles.
         symmetry: symmetries that the model declares.
 
-    Attributes:
-        turns: alternatives whose turned surface nearly coincides with the surface.
+    Alternatives are searched when they are asked for: the first often suffices.
     """
 
     def __init__(
@@ -97,10 +96,24 @@ class NearSymmetry:
     ) -> None:
         self._surface = surface_of(vertices, faces)  # type: ignore[arg-type]
         self._symmetry = symmetry or Symmetry()
+        self._same = _SameTurn(self._symmetry)
         self._points = spread_points(vertices, faces, _POINTS)[0]
         self._size = 2 * self._surface.radius
         self._bases = axes_to_try(self._points)
-        self.turns: tuple[Alternative, ...] = tuple(self._find())
+        self._turns: list[Alternative] = []
+        self._rest = self._find()
+
+    @property
+    def turns(self) -> tuple[Alternative, ...]:
+        """Alternatives whose turned surface nearly coincides with the surface."""
+        return tuple(self.each())
+
+    def each(self) -> Iterator[Alternative]:
+        """`turns` one after the other; those not looked at are not searched."""
+        yield from tuple(self._turns)
+        for found in self._rest:
+            self._turns.append(found)
+            yield found
 
     def mirrored(self, poses: Sequence[SE3]) -> list[Alternative]:
         """Turns at least 60 deg away whose silhouette is nearly the same in all given views.
@@ -112,13 +125,14 @@ class NearSymmetry:
         """
         known = [a.turn for a in self.turns]
         found: list[Alternative] = []
+        views = _Views(self._surface, poses)
         for rotation, text in _cube_turns(self._bases):
             turn = turn_about(self._surface.centre, rotation)
             if rotation_error(turn, SE3.identity(), self._symmetry) < _MIRRORED:
                 continue
-            if self._repeats(turn, [*known, *(a.turn for a in found)]):
+            if self._same.any(turn, [*known, *(a.turn for a in found)]):
                 continue
-            if all(self._same_silhouette(T, turn) for T in poses):
+            if views.same_silhouettes(turn, _SILHOUETTE_IOU):
                 found.append(Alternative(turn, text, float("nan")))
         return found
 
@@ -130,10 +144,10 @@ class NearSymmetry:
         """
         if not poses:
             return alternative.exact
-        return all(self._same_silhouette(T, alternative.turn, least=_EQUAL_IOU) for T in poses)
+        return _Views(self._surface, poses).same_silhouettes(alternative.turn, _EQUAL_IOU)
 
-    def _find(self) -> list[Alternative]:
-        found: list[Alternative] = []
+    def _find(self) -> Iterator[Alternative]:
+        found: list[SE3] = []
         tried = [*_cube_turns(self._bases)]
         axis = self._round_axis()
         if axis is not None:
@@ -142,15 +156,12 @@ class NearSymmetry:
             turn = turn_about(self._surface.centre, rotation)
             if rotation_error(turn, SE3.identity(), self._symmetry) < _FAR:
                 continue
-            if self._repeats(turn, [a.turn for a in found]):
+            if self._same.any(turn, found):
                 continue
             turn, distance = self._aligned(turn)
             if distance <= _DISTANCE:
-                found.append(Alternative(turn, text, distance))
-        return found
-
-    def _repeats(self, turn: SE3, known: Sequence[SE3]) -> bool:
-        return any(rotation_error(turn, k, self._symmetry) < _SAME_TURN for k in known)
+                found.append(turn)
+                yield Alternative(turn, text, distance)
 
     def _round_axis(self) -> tuple[Array, str] | None:
         """The axis about which the mesh is a surface of revolution, if there is one."""
@@ -187,12 +198,44 @@ class NearSymmetry:
         )
         return turn, float(np.percentile(gaps, 95)) / self._size
 
-    def _same_silhouette(
-        self, T_cam_obj: SE3, turn: SE3, *, least: float = _SILHOUETTE_IOU
-    ) -> bool:
-        masks = [_silhouette(self._surface, T) for T in (T_cam_obj, T_cam_obj @ turn)]
-        union = (masks[0] | masks[1]).sum()
-        return bool((masks[0] & masks[1]).sum() >= least * max(union, 1))
+
+class _SameTurn:
+    """Whether a turn is nearer than `_SAME_TURN` to known ones, over the declared symmetries."""
+
+    def __init__(self, symmetry: Symmetry) -> None:
+        self._spherical = symmetry.is_spherical
+        self._discrete = np.stack([S.R for S in symmetry.discrete_transforms()])
+        axes = [np.asarray(axis) / np.linalg.norm(axis) for axis, _ in symmetry.continuous]
+        self._axes = np.reshape(axes, (-1, 3))
+
+    def any(self, turn: SE3, known: Sequence[SE3]) -> bool:
+        """True if one of them is as near."""
+        if self._spherical or not known:
+            return bool(known)
+        R = np.stack([k.R for k in known])[:, None] @ self._discrete
+        # Cosines of the angles of R^T turn, and between the axes of revolution.
+        whole = ((R * turn.R).sum(axis=(2, 3)) - 1) / 2
+        about = ((R @ self._axes.T) * (turn.R @ self._axes.T)).sum(axis=2)
+        return bool(max(whole.max(), about.max(initial=-1.0)) > np.cos(_SAME_TURN))
+
+
+class _Views:
+    """Silhouettes of an object at its pose in several views, each drawn when it is needed."""
+
+    def __init__(self, surface: ObjectSurface, poses: Sequence[SE3]) -> None:
+        self._surface, self._poses = surface, poses
+        self._masks: list[NDArray[np.bool_]] = []
+
+    def same_silhouettes(self, turn: SE3, least: float) -> bool:
+        """Whether masks before and after a turn overlap by `least` (IoU) in every view."""
+        for k, T in enumerate(self._poses):
+            if k == len(self._masks):
+                self._masks.append(_silhouette(self._surface, T))
+            before, after = self._masks[k], _silhouette(self._surface, T @ turn)
+            shared, union = np.count_nonzero(before & after), np.count_nonzero(before | after)
+            if shared < least * max(union, 1):
+                return False
+        return True
 
 
 def _cube_turns(bases: Sequence[Basis]) -> list[tuple[Array, str]]:

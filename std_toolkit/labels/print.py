@@ -123,19 +123,20 @@ def judge_print(
     )
     views = [views[k] for k in chosen]
     in_view = [v.T_world_cam.inverse() @ obj.T_world_obj for v in views]
-    turns = [*near.turns, *(near.mirrored(in_view) if views else ())]
-    if not turns and surface is None:
-        return _unmeasured("undecided", None)
     if surface is not None:
         windows = [
             w for v in views if (w := cut_window(v, surface, obj.T_world_obj, others)) is not None
         ]
         if not windows:
             return _unmeasured("undecided", None)
+        turns = [*near.turns, *(near.mirrored(in_view) if views else ())]
         judged = _judge(windows, obj, surface, turns)
         if judged is not None:
             return judged
-    equal = next((a for a in turns if near.looks_equal(in_view, a)), None)
+    equal = next((a for a in near.each() if near.looks_equal(in_view, a)), None)
+    if equal is None and views:
+        mirrored = near.mirrored(in_view)
+        equal = next((a for a in mirrored if near.looks_equal(in_view, a)), None)
     return _unmeasured("ambiguous" if equal else "undecided", equal)
 
 

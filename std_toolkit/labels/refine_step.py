@@ -144,8 +144,9 @@ def refine_labels(
             for (k, o), x in zip(by_id.items(), result.objects, strict=True)
             if k != i
         ]
-        judged = judge_print(at_scale, at_end, around)
-        if judged.verdict == "turned":
+        # Without a print no turn can fit it better.
+        judged = judge_print(at_scale, at_end, around) if at_end.print is not None else None
+        if judged is not None and judged.verdict == "turned":
             logger.warning("%s: %s; turn it and refine again", found.name, judged.sentence())
         refined[i] = msgspec.structs.replace(
             placed[i],

@@ -157,21 +157,22 @@ def surface_maps(
         if window is None:
             continue
         rows, columns = window.slices_in(inside)
-        chosen = composition.index[rows, columns] == i
-        if not chosen.any():
+        part = composition.index[rows, columns]
+        at = np.flatnonzero(part == i)
+        if not len(at):
             continue
-        x, y = (np.broadcast_to(a, chosen.shape)[chosen] for a in normalised_rays(camera, window))
-        z = composition.depth[rows, columns][chosen].astype(np.float64)
-        points = np.stack([x * z, y * z, z], axis=1)
+        v, u = np.divmod(at, part.shape[1])
+        x, y = normalised_rays(camera, window)
+        x, y = x[v if len(x) > 1 else 0, u], y[v, u if y.shape[1] > 1 else 0]
+        pixels = (v + rows.start) * camera.width + (u + columns.start)
+        z = composition.depth.ravel()[pixels].astype(np.float64)
+        points = np.empty((len(z), 3))
+        points[:, 0], points[:, 1], points[:, 2] = x * z, y * z, z
         mesh = item.prepared
         local = _to_mesh(points, mesh, item.T_cam_obj)
-        nocs[rows, columns][chosen] = local * np.float32(1 / mesh.diagonal) + np.float32(0.5)
-        normals[rows, columns][chosen] = surface_normals(
-            mesh,
-            composition.face[rows, columns][chosen],
-            local,
-            item.T_cam_obj,
-            smooth=smooth_normals,
+        nocs.reshape(-1, 3)[pixels] = local * np.float32(1 / mesh.diagonal) + np.float32(0.5)
+        normals.reshape(-1, 3)[pixels] = surface_normals(
+            mesh, composition.face.ravel()[pixels], local, item.T_cam_obj, smooth=smooth_normals
         )
     return nocs, normals
 
@@ -212,16 +213,20 @@ def surface_normals(
 
 def _interpolated(mesh: RenderMesh, face: np.ndarray, local: np.ndarray) -> np.ndarray:
     """(N,3) float32 unit normals in mesh coordinates, interpolated within the triangles."""
-    table = mesh.interpolation.take(face, axis=0)
-    x, y, z = local[:, 0], local[:, 1], local[:, 2]
+    # Component by component: loops over three numbers are slow.
+    table = np.ascontiguousarray(mesh.interpolation.take(face, axis=0).T)
+    x, y, z = np.ascontiguousarray(local.T)
     # Rounding of the depth may put the point just outside its triangle, so clip.
     v, w = (
-        np.clip(table[:, k] * x + table[:, k + 1] * y + table[:, k + 2] * z + table[:, k + 3], 0, 1)
+        np.clip(table[k] * x + table[k + 1] * y + table[k + 2] * z + table[k + 3], 0, 1)
         for k in (0, 4)
     )
-    normal = table[:, 8:11] + v[:, None] * table[:, 11:14] + w[:, None] * table[:, 14:17]
-    length = np.sqrt(np.einsum("ij,ij->i", normal, normal))
-    normal /= np.maximum(length, np.float32(1e-12))[:, None]
+    normal = np.empty((len(face), 3), np.float32)
+    for k in range(3):
+        normal[:, k] = table[8 + k] + v * table[11 + k] + w * table[14 + k]
+    length = np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), np.float32(1e-12))
+    for k in range(3):
+        normal[:, k] /= length
     return normal
 
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from std_toolkit.geometry.camera import on_depth_step, undistort_image
-from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.geometry.ray_caster import RayCaster, import_open3d
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.log import logger
@@ -110,7 +110,7 @@ def _spread_frames(scene: Scene) -> list[int]:
 def _fuse(
     scene: Scene, frames: Sequence[int], options: FusionOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    import open3d as o3d
+    o3d = import_open3d()
 
     core = o3d.core
     channels: Any = (1, 1)
@@ -203,7 +203,7 @@ def _cut(
     scene: Scene, vertices: np.ndarray, faces: np.ndarray, options: FusionOptions
 ) -> tuple[np.ndarray, np.ndarray]:
     """Remove geometry near or inside labelled objects, then small pieces."""
-    import open3d as o3d
+    o3d = import_open3d()
 
     if len(faces) == 0:
         return vertices, faces

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, on_depth_step
+from std_toolkit.geometry.ray_caster import import_open3d
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering.renderer import image_window, normalised_rays
 from std_toolkit.scene.scene import Frame, Scene, require_metres
@@ -160,7 +161,7 @@ def sparse_points(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint8]]
     path = scene.root / "poses" / "points.ply"
     if not path.is_file():
         return None
-    import open3d as o3d
+    o3d = import_open3d()
 
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         cloud = o3d.io.read_point_cloud(path)

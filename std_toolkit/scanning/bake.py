@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.compiled import compiled
-from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.geometry.ray_caster import RayCaster, import_open3d
 from std_toolkit.scanning.depth_maps import hull_depth
 from std_toolkit.scanning.views import Array, View, in_threads
 
@@ -105,7 +105,7 @@ def unwrap(
     vertices: Array, faces: NDArray[np.int64], size: int, threads: int = 1
 ) -> NDArray[np.float64]:
     """(F, 3, 2) texture coordinates by Open3D's UVAtlas."""
-    import open3d as o3d
+    o3d = import_open3d()
 
     mesh = o3d.t.geometry.TriangleMesh(
         o3d.core.Tensor.from_numpy(vertices.astype(np.float32)),

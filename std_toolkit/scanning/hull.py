@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.compiled import compiled
+from std_toolkit.geometry.ray_caster import import_open3d
 from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
 
 # Signed distances to outlines are kept in steps of 1/32 pixel.
@@ -114,7 +115,7 @@ def surface_of(field: NDArray[np.float32], grid: Grid) -> tuple[Array, NDArray[n
 
     The border of the grid counts as outside, so the surface is closed.
     """
-    import open3d as o3d
+    o3d = import_open3d()
 
     closed = np.pad(field, 1, constant_values=np.float32(grid.step))
     closed[closed == 0] = 1e-9

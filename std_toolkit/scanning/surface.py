@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.compiled import compiled
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.ray_caster import import_open3d
 from std_toolkit.log import logger
 from std_toolkit.scanning.depth_maps import DepthMap, choose_neighbours
 from std_toolkit.scanning.hull import largest_component, surface_of
@@ -239,7 +240,7 @@ def decimated(
     vertices: Array, faces: NDArray[np.int64], count: int
 ) -> tuple[Array, NDArray[np.int64]]:
     """A closed mesh of about `count` faces; by manifold3d if quadric decimation tears it."""
-    import open3d as o3d
+    o3d = import_open3d()
 
     fine = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces.astype(np.int32))

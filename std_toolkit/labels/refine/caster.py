@@ -63,6 +63,14 @@ class WorldCaster:
     ) -> None:
         self._placed = [(obj.surface, T) for obj, T in zip(objects, poses, strict=True)]
         self._layers = LayerStore() if layers is None else layers
+        self._view: tuple[SE3 | None, list[SE3]] = None, []
+
+    def _seen_from(self, T_world_cam: SE3) -> list[SE3]:
+        """T_cam_obj of every object; kept for further rays of the same camera."""
+        if self._view[0] is not T_world_cam:
+            T_cam_world = T_world_cam.inverse()
+            self._view = T_world_cam, [T_cam_world @ T for _, T in self._placed]
+        return self._view[1]
 
     def cast(
         self,
@@ -70,11 +78,14 @@ class WorldCaster:
         T_world_cam: SE3,
         pixels: NDArray[np.floating],
         among: Sequence[int] | None = None,
+        facing: NDArray[np.bool_] | None = None,
     ) -> Hits:
         """Rays through pixels (..., 2) of an undistorted camera.
 
         Args:
             among: indices of the objects to intersect; default: all.
+            facing: flags (...) of the rays whose normals are needed, the others get 0; default:
+                all.
         """
         uv = np.asarray(pixels)
         rays = np.ones((uv.size // 2, 3), np.float32)
@@ -83,16 +94,15 @@ class WorldCaster:
         nearest = np.full(len(rays), np.inf, np.float32)
         index = np.full(len(rays), NONE, np.int32)
         normal = np.zeros((len(rays), 3), np.float32)
-        T_cam_world = T_world_cam.inverse()
         for i in range(len(self._placed)) if among is None else among:
             surface, T_world_obj = self._placed[i]
-            T_cam_obj = T_cam_world @ T_world_obj
+            T_cam_obj = self._seen_from(T_world_cam)[i]
             near = surface.may_meet(rays, T_cam_obj)
             if near.all():
                 hits = surface.cast(rays, T_cam_obj)
                 seen = nearer = np.flatnonzero(hits.depth < nearest)
             else:
-                (tried,) = np.nonzero(near)
+                tried = np.flatnonzero(near)
                 if not len(tried):
                     continue
                 hits = surface.cast(rays[tried], T_cam_obj)
@@ -100,7 +110,11 @@ class WorldCaster:
                 seen = tried[nearer]
             nearest[seen] = hits.depth[nearer]
             index[seen] = i
-            normal[seen] = turned(hits.normal[nearer], T_world_obj.R)
+            if facing is not None:
+                chosen = facing.ravel()[seen]
+                nearer, seen = nearer[chosen], seen[chosen]
+            if len(seen):
+                normal[seen] = turned(hits.facing(nearer), T_world_obj.R)
         shape = uv.shape[:-1]
         return Hits(index.reshape(shape), nearest.reshape(shape), normal.reshape(*shape, 3))
 
@@ -259,6 +273,8 @@ def _cast(
         rays[..., 3 + k] = x * R[0, k] + (y * R[1, k] + R[2, k])
     depth, found = surface.meet(rays)
     normal = np.ascontiguousarray(np.moveaxis(found, -1, 0))
-    away = sum(normal[k] * rays[..., 3 + k] for k in range(3)) > 0
-    normal *= np.where(away, np.float32(-1), np.float32(1))
+    away = normal[0] * rays[..., 3]
+    away += normal[1] * rays[..., 4]
+    away += normal[2] * rays[..., 5]
+    normal *= np.where(away > 0, np.float32(-1), np.float32(1))
     return Layer(x0, y0, depth, rotated(normal, T_world_obj.R))

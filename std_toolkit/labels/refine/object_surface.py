@@ -47,15 +47,27 @@ class SurfaceHits:
 
     Attributes:
         depth: (N,) float32 z-depth in metres, inf without a hit.
-        normal: (N, 3) float32 unit normal, object frame, towards the camera.
         face: (N,) uint32 index of the face, if hit.
         corners: (N, 2) float32 barycentric weights of the face's second and third corner.
     """
 
     depth: NDArray[np.float32]
-    normal: NDArray[np.float32]
     face: NDArray[np.uint32]
     corners: NDArray[np.float32]
+    _normal: NDArray[np.float32]
+    _directions: NDArray[np.float32]
+
+    @property
+    def normal(self) -> NDArray[np.float32]:
+        """(N, 3) unit normals, object frame, towards the camera."""
+        return self.facing(slice(None))
+
+    def facing(self, rays: NDArray[np.intp] | slice) -> NDArray[np.float32]:
+        """Rows of `normal`, by their indices (M,)."""
+        normal = self._normal[rays].copy()
+        away = np.einsum("ij,ij->i", normal, self._directions[rays]) > 0
+        normal[away] *= -1
+        return normal
 
 
 class ObjectSurface:
@@ -105,10 +117,7 @@ class ObjectSurface:
         rays[:, :3] = T_obj_world @ origins - self.centre
         rays[:, 3:] = turned(directions, T_obj_world.R)
         found = self._caster.cast(rays)
-        normal = found.normal
-        away = np.einsum("ij,ij->i", normal, rays[:, 3:]) > 0
-        normal[away] *= -1
-        return SurfaceHits(found.distance, normal, found.face, found.uv)
+        return SurfaceHits(found.distance, found.face, found.uv, found.normal, rays[:, 3:])
 
     def meet(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Ray parameter (...) of hits, inf without one, and the unit normal (..., 3).

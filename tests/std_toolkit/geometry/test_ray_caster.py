@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import trimesh
@@ -44,3 +47,14 @@ def test_points_know_their_distance_and_side(threads: int) -> None:
 
 def test_nothing_is_met_where_there_is_no_mesh() -> None:
     assert np.isinf(RayCaster().cast(np.ones((2, 3, 6))).distance).all()
+
+
+def test_open3d_is_imported_without_its_web_server() -> None:
+    code = (
+        "import sys; from std_toolkit.geometry.ray_caster import import_open3d; "
+        "o3d = import_open3d(); assert 'dash' not in sys.modules; "
+        "assert o3d.visualization.draw_plotly.__name__ == 'draw_plotly'; "
+        "assert 'open3d.visualization.draw_plotly' not in sys.modules; "
+        "assert import_open3d() is o3d"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

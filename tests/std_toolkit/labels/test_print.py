@@ -14,7 +14,7 @@ from realsense_ycb import load_frame, print_of
 
 from std_toolkit.geometry import SE3, Camera, Symmetry, rotation_error, so3_exp
 from std_toolkit.geometry.surface_colors import SurfaceColors
-from std_toolkit.labels.alternatives import NearSymmetry
+from std_toolkit.labels.alternatives import NearSymmetry, _SameTurn
 from std_toolkit.labels.print import PrintComparison, judge_print
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
@@ -130,6 +130,44 @@ def test_declared_symmetries_are_no_alternatives() -> None:
     # The half turns about x and y are one and the same then.
     assert len(turns) == 1
     assert rotation_error(turns[0].turn, SE3.identity(), declared) > 1
+
+
+def test_only_as_many_turns_are_searched_as_are_looked_at(monkeypatch) -> None:
+    tried = []
+    plain = NearSymmetry._aligned
+
+    def aligned(self: NearSymmetry, turn: SE3, **options: int) -> tuple[SE3, float]:
+        tried.append(turn)
+        return plain(self, turn, **options)
+
+    mesh = box_mesh(None)
+    near = NearSymmetry(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    monkeypatch.setattr(NearSymmetry, "_round_axis", lambda _: None)
+    monkeypatch.setattr(NearSymmetry, "_aligned", aligned)
+    first = next(near.each())
+    assert len(tried) == 1
+    assert [a.text for a in near.turns] == [first.text, *(a.text for a in near.turns[1:])]
+    count = len(tried)
+    assert len(near.turns) == 3 and len(tried) == count
+
+
+@pytest.mark.parametrize(
+    "symmetry",
+    [
+        Symmetry(),
+        Symmetry(discrete=(tuple(HALF.matrix().ravel()),)),
+        Symmetry(continuous=(((0.0, 0.6, 0.8), (0.0, 0.0, 0.0)),)),
+    ],
+)
+def test_turns_are_the_same_as_by_the_rotation_error(symmetry: Symmetry) -> None:
+    random = np.random.default_rng(0)
+    same = _SameTurn(symmetry)
+    for _ in range(200):
+        known = [SE3(so3_exp(random.normal(0, 0.3, 3)), np.zeros(3)) for _ in range(2)]
+        turn = SE3(so3_exp(random.normal(0, 0.1, 3)) @ known[1].R, np.zeros(3))
+        errors = [rotation_error(turn, k, symmetry) for k in known]
+        assert same.any(turn, known) == (min(errors) < np.deg2rad(10))
+    assert not same.any(turn, [])
 
 
 def test_a_can_is_tried_all_around_and_upside_down() -> None:

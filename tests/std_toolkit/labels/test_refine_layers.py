@@ -42,6 +42,19 @@ def test_layers_put_together_are_what_single_rays_meet(first: int) -> None:
     assert patch.among == (0, 1)
 
 
+def test_normals_are_made_only_where_they_are_needed() -> None:
+    caster = WorldCaster(things(), [BACK, FRONT])
+    v, u = np.mgrid[60:180:3, 80:240:3]
+    pixels = np.stack([u, v], axis=-1).astype(float)
+    whole = caster.cast(CAMERA, VIEW, pixels)
+    wanted = (u + v) % 2 == 0
+    some = caster.cast(CAMERA, VIEW, pixels, facing=wanted)
+    assert np.array_equal(some.object, whole.object) and np.array_equal(some.depth, whole.depth)
+    assert (whole.object >= 0).any()
+    assert np.array_equal(some.normal[wanted], whole.normal[wanted])
+    assert not some.normal[~wanted].any()
+
+
 def test_only_what_moved_is_cast_again() -> None:
     box, bottle = things()
     layers = LayerStore()

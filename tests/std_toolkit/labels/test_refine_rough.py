@@ -188,6 +188,13 @@ def test_the_direction_of_an_edge(angle):
     assert abs(np.sin(float(found[20, 20]) - angle)) < 0.03
 
 
+def test_the_direction_at_some_pixels_is_that_of_the_whole_image():
+    image = np.random.default_rng(0).random((30, 40, 5)).astype(np.float32)
+    at = np.array([0, 41, 700, 1199])
+    for whole, some in zip(edge_direction(image), edge_direction(image, at), strict=True):
+        assert np.array_equal(whole.ravel()[at], some)
+
+
 def test_five_views_from_all_around_are_looked_at():
     views = [photograph([box()], a, depth=False) for a in np.linspace(-1.2, 1.2, 9)]
     chosen = spread_views(views, box())

@@ -76,15 +76,16 @@ class Contour:
         from scipy.spatial import cKDTree
 
         a, b = cKDTree(self.pixels).query_pairs(reach, output_type="ndarray").T
-        n = self.normals
-        same = ((n[a] * n[b]).sum(axis=1) > _SAME_WAY) & (self.kind[a] == self.kind[b])
+        # Columns and rows apart: small last axes are slow.
+        (nx, ny), (x, y) = self.normals.T.copy(), self.pixels.T.copy()
+        same = (nx[a] * nx[b] + ny[a] * ny[b] > _SAME_WAY) & (self.kind[a] == self.kind[b])
         a, b = a[same], b[same]
-        square = ((self.pixels[a] - self.pixels[b]) ** 2).sum(axis=1)
-        self_ = np.arange(len(n))
+        square = (x[a] - x[b]) ** 2 + (y[a] - y[b]) ** 2
+        self_ = np.arange(len(nx))
         return (
             np.concatenate([a, b, self_]),
             np.concatenate([b, a, self_]),
-            np.concatenate([square, square, np.zeros(len(n))]),
+            np.concatenate([square, square, np.zeros(len(nx))]),
         )
 
 
@@ -97,6 +98,11 @@ class _Sides:
     other_v: NDArray[np.intp]
     other_u: NDArray[np.intp]
     kind: NDArray[np.int8]
+
+    def only(self, chosen: NDArray[Any]) -> _Sides:
+        """Some of the pixels, by flags or indices."""
+        each = self.v, self.u, self.other_v, self.other_u, self.kind
+        return _Sides(*(a[chosen] for a in each))
 
 
 def trace_contour(
@@ -119,36 +125,42 @@ def trace_contour(
         return None
     thinning = max(1.0, len(sides.v) / limit)
     keep = np.unique(np.linspace(0, len(sides.v) - 1, min(limit, len(sides.v))).round().astype(int))
-    sides = _Sides(*(getattr(sides, f)[keep] for f in ("v", "u", "other_v", "other_u", "kind")))
+    sides = sides.only(keep)
     border = _Border.of(depth, patch.hits.normal, sides)
     normals, clear = _normals(mask, depth, patch.hits.normal, sides, border)
     start = np.stack([sides.u + patch.x, sides.v + patch.y], axis=1).astype(np.float64)
     beyond = start + _REACH_PX * normals
     valid = clear & ((beyond >= 1) & (beyond <= np.array(camera.size) - 2)).all(axis=1)
+    start, normals = start[valid], normals[valid]
+    sides, border = sides.only(valid), border.only(valid)
     near = depth[sides.v, sides.u].astype(np.float64)
     low, high = np.zeros(len(start)), np.full(len(start), _REACH_PX)
     share = np.arange(1, _RAYS + 1) / _RAYS
-    rows = np.arange(len(start))
     for round_ in range(_ROUNDS):
+        rows = np.arange(len(start))
         # The end of the range is known to be outside from the first round.
         along = low[:, None] + (high - low)[:, None] * (share if round_ == 0 else share[:-1])
         at = start[:, None] + along[..., None] * normals[:, None]
-        hits = caster.cast(camera, T_world_cam, at, among=patch.among)
+        facing = np.broadcast_to(border.crease[:, None], along.shape)
+        hits = caster.cast(camera, T_world_cam, at, among=patch.among, facing=facing)
         within = border.on_near_side(hits.object == index, hits.depth, hits.normal)
-        if round_ == 0:
-            valid &= ~within[:, -1]
-            valid &= (hits.depth[:, -1] > near) | (sides.kind == Kind.CREASE)
         passed = np.logical_and.accumulate(within, axis=1).sum(axis=1)
         last = np.maximum(passed - 1, 0)
         some, all_ = passed > 0, passed == along.shape[1]
+        beyond_near = hits.depth[:, -1] > near
         near = np.where(some, hits.depth[rows, last], near)
         high = np.where(all_, high, along[rows, np.minimum(passed, along.shape[1] - 1)])
         low = np.where(some, along[rows, last], low)
-    pixels = start + ((low + high) / 2)[:, None] * normals
-    if valid.sum() < 8:
+        if round_ == 0:
+            valid = ~within[:, -1] & (beyond_near | (sides.kind == Kind.CREASE))
+            start, normals, near = start[valid], normals[valid], near[valid]
+            low, high = low[valid], high[valid]
+            sides, border = sides.only(valid), border.only(valid)
+    if len(start) < 8:
         return None
-    points = T_world_cam @ camera.unproject(pixels[valid], near[valid])
-    return Contour(pixels[valid], normals[valid], points, sides.kind[valid], thinning)
+    pixels = start + ((low + high) / 2)[:, None] * normals
+    points = T_world_cam @ camera.unproject(pixels, near)
+    return Contour(pixels, normals, points, sides.kind, thinning)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +186,11 @@ class _Border:
         axis = normal[sides.v, sides.u] - normal[sides.other_v, sides.other_u]
         kind = sides.kind
         return _Border(kind == Kind.INNER, kind == Kind.CREASE, (near + far) / 2, axis)
+
+    def only(self, chosen: Flags) -> _Border:
+        """Those of some of the pixels."""
+        each = self.inner, self.crease, self.depth, self.axis
+        return _Border(*(a[chosen] for a in each))
 
     def on_near_side(self, is_object: Flags, depth: Array32, normal: Array32) -> Flags:
         """(N, M) for M points of each contour pixel, of which `is_object` and so on are known."""

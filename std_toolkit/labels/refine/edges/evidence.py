@@ -77,13 +77,11 @@ def _histogram(codes: NDArray[np.int64]) -> Array32:
     cube = np.bincount(codes, minlength=_BINS**3).astype(np.float32).reshape((_BINS,) * 3)
     # Neighbouring bins are smoothed: noise and shading move colours by about a bin.
     for axis in range(3):
-        moved = np.zeros_like(cube)
-        source = np.moveaxis(cube, axis, 0)
-        target = np.moveaxis(moved, axis, 0)
-        target[:] = source
-        target[1:] += 0.5 * source[:-1]
-        target[:-1] += 0.5 * source[1:]
-        cube = moved
+        every = (slice(None),) * axis
+        first, last = (*every, slice(None, -1)), (*every, slice(1, None))
+        half, cube = np.float32(0.5) * cube, cube.copy()
+        cube[last] += half[first]
+        cube[first] += half[last]
     flat = cube.ravel()
     floor = 1e-3 * flat.sum() / 64
     return (flat + floor) / (flat + floor).sum()
@@ -117,21 +115,23 @@ def measure_edges(
     # The derivative of the profile needs a margin, which is then removed.
     pad = 3
     wide = np.arange(-reach - pad, reach + pad + 1, dtype=np.float64)
-    at = contour.pixels[:, None] + wide[None, :, None] * contour.normals[:, None]
+    # Columns and rows apart: small last axes are slow.
+    x, y = (contour.pixels[:, k, None] + wide * contour.normals[:, k, None] for k in (0, 1))
     share = _sharing(contour, along)
-    crop, corner = _around(image, at)
-    step = _derivative(_sample(crop, at - corner))[:, pad:-pad]
+    crop, left, top = _around(image, x, y)
+    step = _derivative(_sample(crop, x - left, y - top))[:, pad:-pad]
     step = (share @ step.reshape(len(step), -1)).reshape(step.shape)
-    magnitude = np.linalg.norm(step, axis=-1)
+    square = step * step
+    magnitude = np.sqrt(square[..., 0] + square[..., 1] + square[..., 2])
     noise = float(np.median(magnitude)) + 0.5
     relative = magnitude / noise
     score = 1.2 * np.log1p(relative**2)
-    inner = at[:, pad:-pad] - np.array([patch.x, patch.y])
+    inner = x[:, pad:-pad] - patch.x, y[:, pad:-pad] - patch.y
     if taken is not None:
-        elsewhere = _sample(taken, inner) * (np.abs(d) > 1.5)
+        elsewhere = _sample(taken, *inner) * (np.abs(d) > 1.5)
         score = score - 3.0 * elsewhere
     if odds is not None and region_weight > 0:
-        line = share @ _sample(odds, inner)
+        line = share @ _sample(odds, *inner)
         within = np.cumsum(line, axis=1) - line / 2
         total = line.sum(axis=1, keepdims=True)
         # Inside the silhouette both sides are the object: its colours are not informative.
@@ -160,25 +160,30 @@ def _sharing(contour: Contour, along: float) -> csr_array:
     weight = np.exp(-0.5 * square / max(along, 1e-3) ** 2).astype(np.float32)
     total = np.bincount(here, weight, size).astype(np.float32)
     # Few neighbours matter: a dense product would take most of the refinement time.
-    return csr_array((weight / total[here], (here, there)), shape=(size, size))
+    order = np.argsort(here * size + there)
+    ends = np.cumsum(np.bincount(here, minlength=size))
+    starts = np.concatenate([[0], ends]).astype(np.int32)
+    each = (weight / total[here])[order]
+    return csr_array((each, there[order].astype(np.int32), starts), shape=(size, size))
 
 
-def _around(image: NDArray[np.uint8], at: Array) -> tuple[Array32, Array]:
-    """The part of an image that contains the pixels, as float32, and its top-left corner."""
-    h, w = image.shape[:2]
-    low = np.clip(np.floor(at.min(axis=(0, 1))).astype(int) - 2, 0, [w - 2, h - 2])
-    high = np.clip(np.ceil(at.max(axis=(0, 1))).astype(int) + 3, low + 2, [w, h])
-    crop = image[low[1] : high[1], low[0] : high[0]].astype(np.float32)
-    return crop, low.astype(np.float64)
+def _around(image: NDArray[np.uint8], x: Array, y: Array) -> tuple[Array32, int, int]:
+    """The part of an image that contains the pixels, as float32, and its first column and row."""
+    bounds = []
+    for values, size in ((x, image.shape[1]), (y, image.shape[0])):
+        low = int(np.clip(np.floor(values.min()) - 2, 0, size - 2))
+        bounds.append((low, int(np.clip(np.ceil(values.max()) + 3, low + 2, size))))
+    (left, right), (top, bottom) = bounds
+    return image[top:bottom, left:right].astype(np.float32), left, top
 
 
-def _sample(image: Array32, at: Array) -> Array32:
-    """Bilinear samples of an image at pixels (N, M, 2)."""
+def _sample(image: Array32, x: Array, y: Array) -> Array32:
+    """Bilinear samples of an image at columns and rows (N, M)."""
     return np.asarray(
         cv2.remap(
             image,
-            at[..., 0].astype(np.float32),
-            at[..., 1].astype(np.float32),
+            x.astype(np.float32),
+            y.astype(np.float32),
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         ),

@@ -107,16 +107,24 @@ class OutlineCaster:
             :, None, :
         ]
         row, column = np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)
-        others = window.others[row[:, :, None], column[:, None, :]]
-        visible = np.isfinite(depth) & (depth < others)
-        depth = np.where(visible, depth, np.float32(0))
-        normal *= visible[..., None]
-        distance = float(np.median(depth[visible])) if visible.any() else 1.0
+        visible = np.isfinite(depth)
+        others = None
+        if np.isfinite(window.others).any():
+            others = window.others[row[:, :, None], column[:, None, :]]
+            visible &= depth < others
+        hidden = ~visible
+        depth[hidden] = 0
+        normal[:, hidden] = 0
+        seen = depth[visible]
+        distance = float(np.median(seen)) if len(seen) else 1.0
         jump = max(_SMALLEST_JUMP_M, _SMALLEST_JUMP_FOOTPRINTS * distance / camera.fx)
         passing = _passing(visible, depth, normal, others, jump)
-        k, y, x = np.nonzero(passing * within)
-        angle = _angles(visible, (depth - np.float32(distance)) / np.float32(jump), normal)
-        return Outlines(k, row[k, y], column[k, x], angle[k, y, x], passing[k, y, x])
+        passing *= within
+        at = np.flatnonzero(passing)
+        relief = (depth - np.float32(distance)) / np.float32(jump)
+        angle = _angles(visible, relief, normal, at)
+        k, y, x = np.unravel_index(at, passing.shape)
+        return Outlines(k, row[k, y], column[k, x], angle, passing.ravel()[at])
 
     def _patches(
         self, camera: Camera, R: Array, t: Array
@@ -142,10 +150,10 @@ class OutlineCaster:
         u: NDArray[np.intp],
         v: NDArray[np.intp],
     ) -> tuple[Array32, Array32]:
-        """z-depth (N, h, w) and normals towards the camera (N, h, w, 3), object frame."""
+        """z-depth (N, h, w) and normals towards the camera (3, N, h, w), object frame."""
         shape = len(R), v.shape[1], u.shape[1]
         depth = np.full(shape, np.inf, np.float32)
-        normal = np.zeros((*shape, 3), np.float32)
+        normal = np.zeros((3, *shape), np.float32)
         # The margin is empty.
         inside = slice(_MARGIN, -_MARGIN)
         u, v = u[:, inside], v[:, inside]
@@ -159,9 +167,12 @@ class OutlineCaster:
             a, b, c = (R32[:, i, k, None, None] for i in range(3))
             rays[..., 3 + k] = x * a + y * b + c
         depth[:, inside, inside], met = self._surface.meet(rays)
-        away = np.asarray(sum(met[..., k] * rays[..., 3 + k] for k in range(3)) > 0)
-        np.negative(met, out=met, where=away[..., None])
-        normal[:, inside, inside] = met
+        away = met[..., 0] * rays[..., 3]
+        away += met[..., 1] * rays[..., 4]
+        away += met[..., 2] * rays[..., 5]
+        toward = np.where(away > 0, np.float32(-1), np.float32(1))
+        for k in range(3):
+            np.multiply(met[..., k], toward, out=normal[k][:, inside, inside])
         return depth, normal
 
 
@@ -169,7 +180,7 @@ def _passing(
     visible: NDArray[np.bool_],
     depth: Array32,
     normal: Array32,
-    others: Array32,
+    others: Array32 | None,
     jump: float,
 ) -> Array32:
     """(N, h, w) weight of the outline at each pixel: both pixels beside it have it."""
@@ -177,31 +188,37 @@ def _passing(
     for axis in (1, 2):
         a = tuple(slice(None, -1) if k == axis else slice(None) for k in range(3))
         b = tuple(slice(1, None) if k == axis else slice(None) for k in range(3))
-        # A border with a nearer surface does not belong to the object.
-        ends = visible[a] & ~visible[b] & (others[b] > depth[a])
-        begins = visible[b] & ~visible[a] & (others[a] > depth[b])
+        ends, begins = visible[a] > visible[b], visible[b] > visible[a]
+        if others is not None:
+            # A border with a nearer surface does not belong to the object.
+            ends &= others[b] > depth[a]
+            begins &= others[a] > depth[b]
         both = visible[a] & visible[b]
-        hides = both & (np.abs(depth[b] - depth[a]) > jump)
-        cosine = sum(normal[(*a, k)] * normal[(*b, k)] for k in range(3))
-        crease = both & (cosine < _CREASE_COSINE)
-        here = np.where(
-            ends | begins | hides, np.float32(1), np.where(crease, np.float32(_CREASE_WEIGHT), 0)
-        )
+        whole = ends | begins | (both & (np.abs(depth[b] - depth[a]) > jump))
+        cosine = normal[0][a] * normal[0][b]
+        cosine += normal[1][a] * normal[1][b]
+        cosine += normal[2][a] * normal[2][b]
+        here = (both & (cosine < _CREASE_COSINE)) * np.float32(_CREASE_WEIGHT)
+        here[whole] = 1
         np.maximum(weight[a], here, out=weight[a])
         np.maximum(weight[b], here, out=weight[b])
     return weight
 
 
-def _angles(visible: NDArray[np.bool_], relief: Array32, normal: Array32) -> Array32:
-    """(N, h, w) direction of what changes: mask, depth in jumps, or normal."""
+def _angles(
+    visible: NDArray[np.bool_], relief: Array32, normal: Array32, at: NDArray[np.intp]
+) -> Array32:
+    """Direction of what changes at flat pixels (N,): mask, depth in jumps, or normal."""
     n, h, w = visible.shape
     channels = np.empty((n * h, w, 5), np.float32)
-    channels[..., 0] = 2 * visible.reshape(n * h, w)
-    channels[..., 1] = np.clip(relief, -6, 6).reshape(n * h, w) * visible.reshape(n * h, w)
-    channels[..., 2:] = normal.reshape(n * h, w, 3)
+    shown = visible.reshape(n * h, w)
+    np.multiply(shown, np.float32(2), out=channels[..., 0])
+    np.multiply(np.clip(relief, -6, 6).reshape(n * h, w), shown, out=channels[..., 1])
+    for k in range(3):
+        channels[..., 2 + k] = normal[k].reshape(n * h, w)
     # The margins keep the patches, one above the other, apart.
     smooth = np.asarray(cv2.blur(channels, (3, 3)), dtype=np.float32)
-    return edge_direction(smooth)[1].reshape(n, h, w)
+    return edge_direction(smooth, at)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,17 +260,23 @@ class EdgeMap:
         return self.response[k, v, u]
 
 
-def edge_direction(image: Array32) -> tuple[Array32, Array32]:
+def edge_direction(image: Array32, at: NDArray[np.intp] | None = None) -> tuple[Array32, Array32]:
     """Strength of the largest change at every pixel and its direction's angle in [0, pi).
 
     All channels are combined (Di Zenzo's structure tensor, without smoothing).
 
     Args:
         image: (h, w, channels).
+        at: flat indices (N,) of pixels; default: all.
+
+    Returns:
+        Two arrays (h, w), or (N,) if `at` is given.
     """
     gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=3)
     gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=3)
-    xx, xy, yy = (np.zeros(image.shape[:2], np.float32) for _ in range(3))
+    if at is not None:
+        gx, gy = (g.reshape(-1, image.shape[2])[at] for g in (gx, gy))
+    xx, xy, yy = (np.zeros(gx.shape[:-1], np.float32) for _ in range(3))
     for k in range(image.shape[2]):
         x, y = gx[..., k], gy[..., k]
         xx += x * x
