@@ -28,12 +28,14 @@ KEYS: dict[str, tuple[str, ...]] = {
     "lidf": ("zhu2021lidf",),
     "cleargrasp": ("sajjan2020cleargrasp",),
     "dfnet": ("fang2022transcg",),
+    "two-branch": ("dai2022dreds", "qi2017pointnetpp"),
     # Pose and grasp methods.
     "nocs": ("wang2019nocs",),
     "spd": ("tian2020spd",),
     "sgpa": ("chen2021sgpa",),
     "swindrnet-nocs": ("dai2022dreds",),
     "graspnet": ("fang2020graspnet",),
+    "flat-patches": ("mahler2018dexnet", "cao2021suctionnet"),
     # Data sets.
     "dreds-catknown-train": ("dai2022dreds",),
     "dreds-catknown-val": ("dai2022dreds",),

@@ -36,6 +36,7 @@ NEVER_RAISE = {
     "needed_friction",
     "pinhole",
     "precision_at",
+    "ring_stretch",
     "score_sensor",
     "seconds_per_image",
     "suppress_similar",
