@@ -149,6 +149,13 @@ def seal_at(surfaces: RayCaster, T: SE3, cup: SuctionCup) -> Seal:
         surfaces: meshes in one frame, such as the world.
         T: the cup in that frame: the middle of the lip, and the axis as its x.
         cup: the cup.
+
+    Returns:
+        What it finds; the mesh is -1 where the lip is not on one mesh all around.
+
+    >>> surfaces = RayCaster(threads=1)
+    >>> seal_at(surfaces, SE3(np.eye(3), np.zeros(3)), SuctionCup())
+    Seal(mesh=-1, stretch=inf)
     """
     angles = 2 * np.pi * np.arange(_RING) / _RING
     back = _FARTHEST * cup.height
@@ -163,7 +170,7 @@ def seal_at(surfaces: RayCaster, T: SE3, cup: SuctionCup) -> Seal:
 
 
 def ring_stretch(along: Floats, cup: SuctionCup) -> float:
-    """Return the largest share by which a spring of a cup changes its length.
+    """Compute the largest share by which a spring of a cup changes its length.
 
     The springs join neighbours on the ring, every second point, and each point with the apex of the
     cup, which is `cup.height` behind the mean of the ring.
@@ -171,6 +178,9 @@ def ring_stretch(along: Floats, cup: SuctionCup) -> float:
     Args:
         along: (n,) places of the surface along the axis, at n points around the ring, metres.
         cup: the cup.
+
+    Returns:
+        Change of length / length at rest.
 
     >>> ring_stretch(np.zeros(16), SuctionCup())
     0.0

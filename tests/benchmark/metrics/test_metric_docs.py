@@ -38,6 +38,7 @@ NEVER_RAISE = {
     "precision_at",
     "ring_stretch",
     "score_sensor",
+    "seal_at",
     "seconds_per_image",
     "suppress_similar",
     "voxel_means",
