@@ -232,7 +232,7 @@ class _Views:
             if k == len(self._masks):
                 self._masks.append(_silhouette(self._surface, T))
             before, after = self._masks[k], _silhouette(self._surface, T @ turn)
-            shared, union = np.count_nonzero(before & after), np.count_nonzero(before | after)
+            shared, union = int((before & after).sum()), int((before | after).sum())
             if shared < least * max(union, 1):
                 return False
         return True

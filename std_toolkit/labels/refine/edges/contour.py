@@ -189,8 +189,9 @@ class _Border:
 
     def only(self, chosen: Flags) -> _Border:
         """Those of some of the pixels."""
-        each = self.inner, self.crease, self.depth, self.axis
-        return _Border(*(a[chosen] for a in each))
+        return _Border(
+            self.inner[chosen], self.crease[chosen], self.depth[chosen], self.axis[chosen]
+        )
 
     def on_near_side(self, is_object: Flags, depth: Array32, normal: Array32) -> Flags:
         """(N, M) for M points of each contour pixel, of which `is_object` and so on are known."""
