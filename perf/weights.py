@@ -27,7 +27,7 @@ sys.path.insert(0, str(REPOSITORY))
 from benchmark.data.frame import DepthFrame, Material, resize_nearest  # noqa: E402
 from benchmark.data.splits import open_split  # noqa: E402
 from benchmark.methods.depth.full_size import restorer_view, to_full_size  # noqa: E402
-from benchmark.methods.protocol import Restored, Restorer  # noqa: E402
+from benchmark.methods.protocol import Restorer  # noqa: E402
 from benchmark.methods.registry import MethodOptions, make_restorer  # noqa: E402
 from benchmark.metrics.protocols.protocol import get_protocol  # noqa: E402
 from benchmark.metrics.protocols.score import score_frame  # noqa: E402
@@ -56,7 +56,7 @@ def rows_of(name: str, restorer: Restorer, frame: DepthFrame) -> dict[str, objec
     found["good"], found["spoiled"] = spoiled(answer.depth, frame)
     if name in NETWORKS:
         color = resize_nearest(frame.color, frame.depth_raw.shape[::-1])
-        whole = to_full_size(frame.depth_raw, Restored(answer.depth, answer.confidence), color)
+        whole = to_full_size(frame.depth_raw, answer, color)
         found["whole_good"], found["whole_spoiled"] = spoiled(whole.depth, frame)
     return found
 

@@ -35,7 +35,7 @@ from std_toolkit.geometry.se3 import SE3
 # How far beyond its tip a grasp looks for the surface.
 SEARCH_M = 0.02
 
-# The lip lets go when it is overloaded for so many steps of control in a row, 10 ms each.
+# Steps of control in a row, 10 ms each, of overload before the lip lets go.
 _OVERLOADED = 3
 
 

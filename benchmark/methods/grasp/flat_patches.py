@@ -7,25 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.methods.grasp.antipodal.antipodal import off_middle
+from benchmark.methods.grasp.antipodal.antipodal import check_limits, off_middle
 from benchmark.methods.grasp.antipodal.hands import obstacles_of
-from benchmark.methods.grasp.antipodal.surface import find_table, surface_of
+from benchmark.methods.grasp.antipodal.surface import surface_of, table_of
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions, configured
 from benchmark.metrics.grasp.collision import Cloud
 from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
 from benchmark.metrics.grasp.gripper import Boxes
 from benchmark.metrics.grasp.suction import SuctionCup, ring_stretch
-from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
 Floats = NDArray[np.float64]
 
-# The ring is looked at in so many sectors, from 0.6 to 1.4 radii.
+# Sectors of the ring, which reaches from 0.6 to 1.4 radii.
 _SECTORS = 8
 _INNER, _OUTER = 0.6, 1.4
 
-# A plane needs so many points.
+# Fewest points of a plane.
 _FEWEST = 12
 
 # Points of the surface itself that may lie in the tube, of noise.
@@ -55,7 +54,8 @@ class FlatPatchSettings:
     steepest: float = 75.0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
+        check_limits(
+            self,
             ("cup_radius", 0.002, 0.05),
             ("points", 10, 20_000),
             ("grasps", 1, 10_000),
@@ -63,10 +63,7 @@ class FlatPatchSettings:
             ("least_top", 0.0, 0.1),
             ("least_area", 0.0, 0.1),
             ("steepest", 1.0, 89.0),
-        ):
-            value = getattr(self, name)
-            if not (low <= value <= high):  # not (NaN) either
-                raise ToolkitError(f"must lie between {low} and {high}", field=name, value=value)
+        )
 
 
 class FlatPatches:
@@ -93,10 +90,7 @@ class FlatPatches:
     def plan(self, view: GraspView) -> Grasps:
         """See `GraspPlanner`."""
         rng = np.random.default_rng(self.settings.seed)
-        if view.T_cam_table is not None:
-            T_cam_table = SE3.from_matrix(view.T_cam_table)
-        else:
-            T_cam_table = find_table(view.depth, view.camera, not_table=view.mask, rng=rng)
+        T_cam_table = table_of(view, rng)
         return self._plan_on_table(view, T_cam_table, rng).transformed(T_cam_table)
 
     def _plan_on_table(self, view: GraspView, T_cam_table: SE3, rng: np.random.Generator) -> Grasps:

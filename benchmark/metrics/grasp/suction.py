@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 # Points of the ring, about 4 mm apart on a cup of 1 cm.
 _RING = 16
 
-# The lip may be so many heights of the cup from the surface when the ring is pushed onto it.
+# Largest distance of lip and surface when the ring is pushed on, in heights of the cup.
 _FARTHEST = 2.0
 
 

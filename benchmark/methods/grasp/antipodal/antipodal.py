@@ -16,7 +16,7 @@ from benchmark.methods.grasp.antipodal.hands import (
     obstacles_of,
     unknown_share,
 )
-from benchmark.methods.grasp.antipodal.surface import find_table, surface_of
+from benchmark.methods.grasp.antipodal.surface import surface_of, table_of
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions, configured
 from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
@@ -25,6 +25,22 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 
 Floats = NDArray[np.float64]
+
+
+def check_limits(settings: object, *limits: tuple[str, float, float]) -> None:
+    """Refuse a setting outside its limits.
+
+    Args:
+        settings: with a field for each limit.
+        limits: name of the field, least and largest value.
+
+    Raises:
+        ToolkitError: a field outside of them, or NaN.
+    """
+    for name, low, high in limits:
+        value = getattr(settings, name)
+        if not (low <= value <= high):  # not (NaN) either
+            raise ToolkitError(f"must lie between {low} and {high}", field=name, value=value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +85,8 @@ class AntipodalSettings:
                 value=self.gripper,
                 hint=f"known: {', '.join(GRIPPERS)}",
             )
-        for name, low, high in (
+        check_limits(
+            self,
             ("points", 10, 20_000),
             ("friction", 0.05, 3.0),
             ("pairs", 1, 20_000),
@@ -80,10 +97,7 @@ class AntipodalSettings:
             ("unknown", 0.0, 100.0),
             ("table_room", 0.0, 0.1),
             ("room", 0.001, 0.05),
-        ):
-            value = getattr(self, name)
-            if not (low <= value <= high):  # not (NaN) either
-                raise ToolkitError(f"must lie between {low} and {high}", field=name, value=value)
+        )
 
     @property
     def cone(self) -> float:
@@ -113,10 +127,7 @@ class Antipodal:
 
     def plan(self, view: GraspView) -> Grasps:
         rng = np.random.default_rng(self.settings.seed)
-        if view.T_cam_table is not None:
-            T_cam_table = SE3.from_matrix(view.T_cam_table)
-        else:
-            T_cam_table = find_table(view.depth, view.camera, not_table=view.mask, rng=rng)
+        T_cam_table = table_of(view, rng)
         grasps = self._plan_on_table(view, T_cam_table, rng)
         return grasps.transformed(T_cam_table)
 

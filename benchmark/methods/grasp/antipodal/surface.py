@@ -231,6 +231,13 @@ def _near_count(places: Floats, known: NDArray[np.bool_]) -> NDArray[np.int64]:
     return count
 
 
+def table_of(view: GraspView, rng: np.random.Generator) -> SE3:
+    """T_cam_table of a view: as given, or found in its depth."""
+    if view.T_cam_table is not None:
+        return SE3.from_matrix(view.T_cam_table)
+    return find_table(view.depth, view.camera, not_table=view.mask, rng=rng)
+
+
 def find_table(
     depth: NDArray[np.float32],
     camera: Camera,
