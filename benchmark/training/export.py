@@ -28,6 +28,7 @@ from std_toolkit.io.documents import read_document
 _SHOWN_OPTIONS = (
     *("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth"),
     "collision",
+    "object_poses",
 )
 
 _MIB = 2**20

@@ -16,6 +16,10 @@ from std_toolkit.log import logger
 Array = NDArray[np.float64]
 # From the canonical frame, y up, to the world, z up.
 UPRIGHT = so3_exp([np.pi / 2, 0, 0])
+# Objects that stand start this far above the floor and apart from each other.
+_GAP_M = 0.002
+# Places tried for an object that stands before it is put on top of others.
+_TRIALS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +30,8 @@ class SettleOptions:
         half_width_m: half the side of the square that they fall on, centred at the origin.
         spread_m: half the side of the square that their middles start above; None: all of the
             square. In a small one they fall on each other: clutter, and stacks.
+        upright: the objects start upright, just above the floor and beside each other where there
+            is room, so that most end standing; `tilt` is unused.
         tilt: largest initial rotation from upright about each horizontal axis, radians.
         longest_s: limit of the simulated time to come to rest, seconds per attempt.
         attempts: number of drops, each from another start, before giving up.
@@ -34,6 +40,7 @@ class SettleOptions:
 
     half_width_m: float = 0.3
     spread_m: float | None = None
+    upright: bool = False
     tilt: float = np.pi / 4
     longest_s: float = 6.0
     attempts: int = 8
@@ -85,7 +92,8 @@ def settle(
         rng = np.random.default_rng([seed, attempt])
         if attempt:
             world = World(objects, half_width_m=options.half_width_m)
-        world.place(_start(objects, rng, options))
+        start = _stand if options.upright else _start
+        world.place(start(objects, rng, options))
         reason = _fall(world, options)
         if reason is None:
             return Settled(tuple(world.poses()), attempt + 1, float(world.data.time))
@@ -139,4 +147,33 @@ def _start(
         at = np.array([x, y, height])
         placed.append((at, radius))
         poses.append(SE3(R, at))
+    return poses
+
+
+def _stand(
+    objects: Sequence[PhysicalObject], rng: np.random.Generator, options: SettleOptions
+) -> list[SE3]:
+    """Upright poses `_GAP_M` above the floor, or above the objects below them."""
+    poses: list[SE3] = []
+    placed: list[tuple[Array, float, float]] = []  # middle, radius around it, top
+    for obj in objects:
+        corners = np.concatenate(obj.parts) * obj.diagonal_m
+        radius = float(np.hypot(corners[:, 0], corners[:, 2]).max())
+        lowest, highest = corners[:, 1].min(), corners[:, 1].max()
+        room = max(options.half_width_m - radius, 0.0)
+        if options.spread_m is not None:
+            room = min(room, options.spread_m)
+        for _ in range(_TRIALS):
+            at = rng.uniform(-room, room, 2)
+            below = [
+                top
+                for middle, other, top in placed
+                if np.hypot(*(middle - at)) < radius + other + _GAP_M
+            ]
+            if not below:
+                break
+        floor = max(below, default=0.0) + _GAP_M
+        placed.append((at, radius, floor + highest - lowest))
+        turn = so3_exp([0, 0, rng.uniform(-np.pi, np.pi)])
+        poses.append(SE3(turn @ UPRIGHT, np.array([*at, floor - lowest])))
     return poses

@@ -31,6 +31,8 @@ PresetName = Literal["draft", "tiny", "dreds"]
 
 Collision = Literal["parts", "coarse"]
 
+ObjectPoses = Literal["any", "upright", "mixed"]
+
 TurntableMaterial = Literal["own", "sprayed", "glass", "steel"]
 
 _OFF: dict[str, Any] = {"option": None}
@@ -64,6 +66,9 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     scenes_from: SceneOrigin = "drop"
     """drop: objects fall on the floor; graspnet: objects and their poses are those of the scenes
     of GraspNet-1Billion"""
+    object_poses: ObjectPoses = "mixed"
+    """any: objects fall in any pose, as in DREDS; upright: they stand, if their shape lets them;
+    mixed: in half of the scenes they stand"""
     graspnet_root: str | None = None
     """folder of GraspNet-1Billion: scenes/ and models/"""
     pattern: str | None = None

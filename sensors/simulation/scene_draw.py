@@ -72,6 +72,8 @@ OTHER = "other"
 DISTRACTOR_COUNT = (1, 3)
 # Share of the scenes whose objects fall on each other, and the half side of where they start.
 PILED_SHARE, PILE_M = 0.3, (0.04, 0.12)
+# Share of the scenes in which objects stand where poses are mixed.
+UPRIGHT_SHARE = 0.5
 # Parts of glass objects that are not glass.
 OPAQUE_PARTS = ("cap", "label", "print")
 # Share of the closed transparent bottles that contain a liquid, and its level.
@@ -116,6 +118,7 @@ class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         setting: surroundings.
         spread_m: the objects start above a square of this half side, and fall on each other where
             it is small; None: above the whole floor.
+        upright: the objects stand, if their shape lets them.
     """
 
     seed: int
@@ -126,6 +129,7 @@ class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     color: list[ColorResponse] = []
     setting: SettingDraw = SettingDraw()
     spread_m: float | None = None
+    upright: bool = False
 
 
 def generator(
@@ -223,6 +227,12 @@ def dress_scene(
     setting = draw_setting(rng, folder=options.floors, split=options.split)
     rng = np.random.default_rng(int(generator(seed, "drop", options).integers(2**31)) + 1)
     piled = rng.random() < PILED_SHARE
+    spread = float(rng.uniform(*PILE_M)) if piled else None
+    upright = {
+        "any": False,
+        "upright": True,
+        "mixed": bool(rng.random() < UPRIGHT_SHARE),
+    }[options.object_poses]
     draw = SceneDraw(
         seed=seed,
         objects=objects,
@@ -231,7 +241,8 @@ def dress_scene(
         pattern_seed=int(generator(seed, "pattern").integers(2**31)),
         color=color,
         setting=setting if options.scenes_from == "drop" else SettingDraw(),
-        spread_m=float(rng.uniform(*PILE_M)) if piled else None,
+        spread_m=spread,
+        upright=upright,
     )
     return draw, maps
 

@@ -68,6 +68,18 @@ def test_another_process_gives_the_same_bits(objects: list[PhysicalObject]) -> N
     assert run.stdout.split() == [T.matrix().tobytes().hex() for T in settle(objects, 5).poses]
 
 
+def test_upright_objects_stand_beside_each_other(objects: list[PhysicalObject]) -> None:
+    """y of a canonical frame is up; of dropped objects, most lie."""
+    standing = []
+    for seed in range(3):
+        settled = settle(objects, seed, SettleOptions(upright=True))
+        check_settled(objects, settled.poses)
+        standing += [T.R[2, 1] > np.cos(np.deg2rad(5)) for T in settled.poses]
+    assert np.mean(standing) >= 0.8
+    crowded = settle(objects, 0, SettleOptions(upright=True, spread_m=0.01))
+    check_settled(objects, crowded.poses)
+
+
 def test_a_measured_arrangement_comes_to_rest(objects: list[PhysicalObject]) -> None:
     """Boxes put down 2 mm into the floor and 3 mm above it end on it, near where they were."""
     box = objects[0]

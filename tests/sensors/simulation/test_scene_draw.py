@@ -160,6 +160,16 @@ def test_fixed_objects_lie_alike_in_all_scenes(monkeypatch) -> None:
     assert [o.asset for o in drawn(5, free).objects] != [o.asset for o in drawn(6, free).objects]
 
 
+def test_objects_stand_in_half_of_mixed_scenes() -> None:
+    def upright(poses: str) -> list[bool]:
+        options = msgspec.structs.replace(OPTIONS, views=1, object_poses=poses)
+        return [drawn(seed, options).upright for seed in range(40)]
+
+    assert upright("any") == [False] * 40
+    assert upright("upright") == [True] * 40
+    assert 10 <= sum(upright("mixed")) <= 30
+
+
 def test_light_and_floor_differ_between_views() -> None:
     scene = drawn(3, msgspec.structs.replace(OPTIONS, views=6))
     assert len({x.rotation_rad for x in scene.light}) == 6
