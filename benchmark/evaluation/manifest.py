@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ import msgspec
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import begin_folder
+from std_toolkit.jobs.options import usable_cores
 
 # Names that tables, pages and terminals show. Results may come from somebody else.
 Name = Annotated[str, msgspec.Meta(max_length=300, pattern=r'^[^\x00-\x1f\x7f<>"]*$')]
@@ -143,7 +143,7 @@ def package_versions() -> dict[str, str]:
 
 def hardware() -> dict[str, str]:
     """Return the processor, the usable cores, and, if torch is imported, its GPUs."""
-    found = {"processor": _processor(), "cores": str(len(os.sched_getaffinity(0)))}
+    found = {"processor": _processor(), "cores": str(usable_cores())}
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
         names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]

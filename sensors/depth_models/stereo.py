@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +15,7 @@ from sensors.stereo import disparity_to_depth, make_matcher
 from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.jobs.options import usable_cores
 
 Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -39,7 +38,7 @@ class ActiveStereo:
         # The released matcher has its own fixed search range.
         own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
         if options.matcher == "local":
-            own["threads"] = options.threads or len(os.sched_getaffinity(0))
+            own["threads"] = options.threads or usable_cores()
         self._matcher = make_matcher(options.matcher, **own)
         self._sensor, self._noise = sensor, options.noise
         self._picture = _picture(sensor, options)

@@ -22,6 +22,7 @@ from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
+from std_toolkit.jobs.options import usable_cores
 from std_toolkit.log import logger
 from std_toolkit.scene.document import Document
 
@@ -94,7 +95,7 @@ def simulate_set(
     _begin(out, options, renderer)
     missing = [s for s in seeds if _missing(out, s, split, layouts)]
     _check_room(out, options, len(missing), layouts)
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     simulate = partial(
         _simulate_scene,
         out=out,

@@ -114,7 +114,9 @@ def build_world(
             for asset, obj in zip(assets, draw.objects, strict=True)
         ]
         start = int(generator(draw.seed, "drop", options).integers(2**31))
-        settled = settle(falling, start, SettleOptions(spread_m=draw.spread_m, upright=draw.upright))
+        settled = settle(
+            falling, start, SettleOptions(spread_m=draw.spread_m, upright=draw.upright)
+        )
         poses, drops = settled.poses, settled.attempts
     rows = list(zip(draw.objects, assets, poses, strict=True))
     record = SimulatedScene(

@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from sensors.stereo.local_options import Backend, LocalMatcherOptions
 from sensors.stereo.stereo_matcher import Disparity, Image, check_pair
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.options import usable_cores
 
 NONE = np.float32(-1)
 
@@ -232,7 +232,7 @@ class LocalMatcher:
         if options.backend is Backend.NUMBA:
             from sensors.stereo import numba_backend
 
-            return numba_backend.match(left, right, options, options.threads or _cores())
+            return numba_backend.match(left, right, options, options.threads or usable_cores())
         try:
             from sensors.stereo import torch_backend
         except ModuleNotFoundError as error:
@@ -246,7 +246,3 @@ class LocalMatcher:
 def local_matcher(**options: Any) -> LocalMatcher:
     """The plug-in: options of `LocalMatcherOptions` as keywords."""
     return LocalMatcher(LocalMatcherOptions(**options))
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0))

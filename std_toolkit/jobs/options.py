@@ -44,7 +44,14 @@ class JobOptions:
     @property
     def worker_count(self) -> int:
         """Number of processes: `workers`, or one for each core that this process may use."""
-        return self.workers or len(os.sched_getaffinity(0))
+        return self.workers or usable_cores()
+
+
+def usable_cores() -> int:
+    """Cores that this process may use; those of the machine where the system does not say."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1  # macOS, Windows
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from std_toolkit.jobs.options import (
     Outcome,
     Result,
     error_of,
+    usable_cores,
     worker_died,
 )
 from std_toolkit.log import logger
@@ -292,7 +293,7 @@ def _prepare_worker(width: int) -> None:
     # Ctrl-C goes to the whole process group; the parent ends its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Every library would start as many threads as there are cores, in every worker.
-    threads = str(max(1, len(os.sched_getaffinity(0)) // width))
+    threads = str(max(1, usable_cores() // width))
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(variable, threads)
     threading.Thread(target=_die_with_parent, daemon=True).start()

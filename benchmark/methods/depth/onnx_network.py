@@ -18,6 +18,7 @@ from benchmark.data.frame import resize_nearest
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions, configured
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.options import usable_cores
 
 INPUTS = ("color", "depth")
 OUTPUTS = ("restored", "confidence")  # the last is missing in networks without confidence
@@ -119,7 +120,7 @@ def _session(path: Path, device: str, threads: int | None) -> Any:
 
 def _threads() -> int:
     given = os.environ.get("OMP_NUM_THREADS", "")
-    return int(given) if given.isdecimal() and int(given) else len(os.sched_getaffinity(0))
+    return int(given) if given.isdecimal() and int(given) else usable_cores()
 
 
 def _input_size(session: Any, path: Path) -> tuple[int, int]:

@@ -31,6 +31,14 @@ def test_results_come_in_item_order(options: JobOptions) -> None:
     report.raise_if_failed()
 
 
+def test_all_cores_serve_where_the_system_has_no_affinity(monkeypatch) -> None:
+    """As on macOS and Windows."""
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    assert JobOptions().worker_count == os.cpu_count()
+    report = run_jobs(job_items.square, range(2), name="x", options=JobOptions(progress=False))
+    assert list(report.results.values()) == [0, 1]
+
+
 @engines
 def test_no_items_are_no_work(options: JobOptions) -> None:
     report = run_jobs(job_items.square, [], name="nothing", options=options)
