@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from std_toolkit.cli.command import exit_status
+from std_toolkit.cli.interrupt import GRACE_S
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import log_to_stderr
 
@@ -43,7 +44,7 @@ def main() -> int:
     demo.add_argument("--quick", action="store_true", help="without the simulator, in seconds")
     args = parser.parse_args()
     log_to_stderr()
-    return exit_status(lambda: _run(args), program="python -m sensors.synthetic")
+    return exit_status(lambda: _run(args), program="python -m sensors.synthetic", grace_s=GRACE_S)
 
 
 def _run(args: argparse.Namespace) -> int:

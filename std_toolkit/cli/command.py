@@ -68,11 +68,25 @@ class Program:
     on_interrupt: str = "run the same command again to resume"
     grace_s: float | None = GRACE_S
 
-    def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Run one command; returns the exit status and raises `SystemExit` for `--help` only."""
+    def main(
+        self, arguments: Sequence[str] | None = None, *, is_process: bool | None = None
+    ) -> int:
+        """Run one command; returns the exit status and raises `SystemExit` for `--help` only.
+
+        Args:
+            arguments: words after the name; None takes those of the process.
+            is_process: whether the process ends with this program, in any case after a signal;
+                None if `arguments` are those of the process.
+        """
         words = list(sys.argv[1:] if arguments is None else arguments)
+        is_process = arguments is None if is_process is None else is_process
+        message = f"interrupted; {self.on_interrupt}"
+        terminated: list[int] = []
         try:
-            return self._main(words if self.rewrite is None else self.rewrite(words))
+            with ended_by_signals(
+                message, grace_s=self.grace_s if is_process else None
+            ) as terminated:
+                return self._main(words if self.rewrite is None else self.rewrite(words))
         except UsageError as error:
             print(f"error: {error}", file=sys.stderr)
             return WRONG_USAGE
@@ -82,7 +96,7 @@ class Program:
             return 0
         except KeyboardInterrupt:  # before the command began
             print("interrupted; nothing was begun", file=sys.stderr)
-            return INTERRUPTED
+            return 128 + terminated[0] if terminated else INTERRUPTED
 
     def _main(self, words: list[str]) -> int:
         first = next((word for word in words if word not in ("--quiet", "--debug")), None)
@@ -122,7 +136,6 @@ class Program:
             program=self.name,
             debug=verbosity.debug,
             on_interrupt=self.on_interrupt,
-            grace_s=self.grace_s,
         )
 
     def help(self) -> str:
@@ -162,7 +175,7 @@ def exit_status(
     program: str,
     debug: bool = False,
     on_interrupt: str = "run the same command again to resume",
-    grace_s: float | None = GRACE_S,
+    grace_s: float | None = None,
 ) -> int:
     """Run a command. Exit status: what it returns, 1 for an error, 130 or 143 after a signal.
 
@@ -170,7 +183,7 @@ def exit_status(
         program: name of the program, for the hint of an unexpected error.
         debug: let exceptions pass, with their traceback.
         on_interrupt: how to go on, printed after SIGINT (Ctrl-C) or SIGTERM.
-        grace_s: see `ended_by_signals`.
+        grace_s: see `ended_by_signals`; None within `Program.main`, which has its own.
     """
     message = f"interrupted; {on_interrupt}"
     terminated: list[int] = []

@@ -1,75 +1,81 @@
 """SIGINT and SIGTERM end a program within seconds, whatever it computes.
 
 Python runs a handler when the interpreter has control again. A mapper or a training step may keep
-it for minutes. A thread therefore ends the process if it still runs some seconds after the signal.
-Every file is written atomically, so that this loses only the item in work.
+it for minutes. A process beside the program therefore ends it if it still runs some seconds after
+the signal, also while it starts (imports) or leaves (waits for threads). Every file is written
+atomically, so that this loses only the item in work.
 """
 
 from __future__ import annotations
 
 import os
-import select
 import signal
+import subprocess
+import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from types import FrameType
 
-GRACE_S = 3.0
-"""Seconds from a signal until the process is ended from outside the computation."""
+from std_toolkit.cli import guard
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-# A main thread that has ended waits for other threads, such as those of a pool.
-_LEAVING_S = 30.0
+GRACE_S = 3.0
+"""Seconds from a signal until the program is ended from outside the computation."""
+
+# Of the outermost block, while there is one.
+_terminated: list[int] | None = None
 
 
 @contextmanager
-def ended_by_signals(message: str, *, grace_s: float | None = GRACE_S) -> Iterator[list[int]]:
-    """SIGTERM interrupts the block as SIGINT does; the process ends in `grace_s` in any case.
+def ended_by_signals(message: str, *, grace_s: float | None = None) -> Iterator[list[int]]:
+    """SIGTERM interrupts the block as SIGINT does.
 
-    Outside the main thread, where signals cannot be handled, the block runs as it is.
+    Outside the main thread, where signals cannot be handled, and within another such block, it
+    changes nothing.
 
     Args:
         message: line on stderr if the process is ended from outside the computation.
-        grace_s: None to wait as long as the block takes.
+        grace_s: seconds from a signal until the process ends in any case, for a block that is
+            the whole program; a signal behind it ends the process at once. None for a block
+            within another program, and for one that finishes what it has begun.
 
     Yields:
         A list that SIGTERM adds its number to.
     """
-    terminated: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield terminated
+    global _terminated
+    if _terminated is not None:
+        yield _terminated
         return
-    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    woken = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    if threading.current_thread() is not threading.main_thread():
+        yield []
+        return
+    terminated = _terminated = []
 
     def terminate(number: int, frame: FrameType | None) -> None:
         terminated.append(number)
         _interrupt(number, frame)
 
     before = signal.signal(signal.SIGTERM, terminate)
-    over = threading.Event()
-    threading.Thread(
-        target=_watch, args=(reading, over, message, grace_s), name="signals", daemon=True
-    ).start()
+    guarding = None if grace_s is None else _guard(message, grace_s)
     try:
         yield terminated
     finally:
-        over.set()
-        signal.signal(signal.SIGTERM, before)
-        signal.set_wakeup_fd(woken)
-        os.close(writing)  # the thread ends at the end of its input
+        _terminated = None
+        if guarding is None:
+            signal.signal(signal.SIGTERM, before)
+        else:
+            # All that is left is to unload modules, which may take seconds, and to wait for
+            # threads. The guard ends the latter.
+            _leave(guarding)
 
 
 def keep_handlers() -> None:
-    """Install Python's handlers again after the import of a library that replaced them.
+    """Install Python's handlers again after a library replaced them.
 
     The log library within pycolmap prints a stack trace at SIGTERM and ends the process.
     """
     if threading.current_thread() is threading.main_thread():
-        for number in _SIGNALS:
+        for number in guard.SIGNALS:
             handler = signal.getsignal(number)
             if callable(handler):
                 signal.signal(number, handler)
@@ -84,50 +90,57 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
-def _watch(reading: int, over: threading.Event, message: str, grace_s: float | None) -> None:
-    number = _first_signal(reading)
-    if number is None or grace_s is None:
-        return
-    end = time.monotonic() + grace_s
-    while time.monotonic() < end and not over.is_set():
-        time.sleep(0.05)
-    if over.is_set():
-        # The program is leaving; it may still wait for threads.
-        end = time.monotonic() + _LEAVING_S
-        while threading.main_thread().is_alive() and time.monotonic() < end:
-            time.sleep(0.05)
-        if threading.main_thread().is_alive():
-            return  # `main` was called by another program, which goes on
-        time.sleep(1.0)
-    else:
-        os.write(2, f"{message}\n".encode())
-    for child in _children():
-        with suppress(OSError):
-            os.kill(child, signal.SIGKILL)
-    os._exit(128 + number)
-
-
-def _first_signal(reading: int) -> int | None:
-    """The first signal to end; None if the input ends before."""
+def _guard(message: str, grace_s: float) -> int | None:
+    """Start the guard; returns the pipe that signals are written to. None without a guard."""
+    from_signals, to_guard = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    from_guard, to_thread = os.pipe2(os.O_CLOEXEC)
+    words = [str(os.getpid()), str(grace_s), message]
     try:
-        while True:
-            select.select([reading], [], [])
-            numbers = os.read(reading, 64)
-            if found := [n for n in numbers if n in _SIGNALS]:
-                return found[0]
-            if not numbers:
-                return None
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-S", guard.__file__, *words],
+            stdin=from_signals,
+            stdout=to_thread,
+            # Out of reach of Ctrl-C, which goes to all processes of a terminal.
+            start_new_session=True,
+        )
+    except OSError:  # no memory or no processes left: no reason not to do the work
+        os.close(to_guard)
+        os.close(from_guard)
+        return None
     finally:
-        os.close(reading)
+        os.close(from_signals)
+        os.close(to_thread)
+    signal.set_wakeup_fd(to_guard, warn_on_full_buffer=False)
+    # The signals of a forked worker are none of this program.
+    os.register_at_fork(after_in_child=_forget)
+    threading.Thread(
+        target=_end, args=(from_guard, message, process), name="signals", daemon=True
+    ).start()
+    return to_guard
 
 
-def _children() -> list[int]:
-    """Processes that this one started. Workers end their own when their parent is gone."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError, ValueError, IndexError):
-            # Its name, in brackets, may contain spaces. State and parent follow.
-            words = (folder / "stat").read_text().rpartition(")")[2].split()
-            if int(words[1]) == os.getpid():
-                found.append(int(folder.name))
-    return found
+def _forget() -> None:
+    """In a forked process: no guard, and SIGTERM ends it."""
+    global _terminated
+    _terminated = None
+    signal.set_wakeup_fd(-1)
+    if callable(signal.getsignal(signal.SIGTERM)):
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _end(from_guard: int, message: str, process: subprocess.Popen[bytes]) -> None:
+    """End this process when the guard says so, with the status of a signal."""
+    number = os.read(from_guard, 1)
+    if number:
+        if _terminated is not None:  # within the block, which tells by itself if it can
+            os.write(2, f"{message}\n".encode())
+        os._exit(128 + number[0])
+    process.wait()  # it was killed
+
+
+def _leave(guarding: int) -> None:
+    with suppress(OSError):
+        os.write(guarding, bytes([guard.TOLD]))
+    for number in guard.SIGNALS:
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)

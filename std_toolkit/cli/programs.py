@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
+from std_toolkit.cli.command import Program
 from std_toolkit.plugins import install
 
 PROGRAMS: dict[str, str] = {
@@ -80,4 +81,6 @@ def train() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run(sys.argv[1], sys.argv[2:]))
+    install()
+    program: Program = import_module(PROGRAMS[sys.argv[1]]).PROGRAM
+    sys.exit(program.main(sys.argv[2:], is_process=True))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import socket
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -102,6 +104,7 @@ def _connect(options: JobOptions, tell: bool) -> None:
     address = options.ray_address
     if address is not None:
         _check_reachable(address)
+    handler = signal.getsignal(signal.SIGTERM)
     try:
         ray.init(
             address=address,
@@ -115,6 +118,10 @@ def _connect(options: JobOptions, tell: bool) -> None:
         raise ToolkitError(
             f"cannot connect to Ray: {error}", field="--ray-address", value=address
         ) from error
+    finally:
+        # Ray's own ends the process without a word.
+        if handler is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)
 
 
 def _check_reachable(address: str) -> None:

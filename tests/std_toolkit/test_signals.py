@@ -32,6 +32,33 @@ def after_pycolmap():  # its log library handles SIGTERM by itself
     print("imported", flush=True)
     loop()
 
+def with_the_lock():  # compiled code that no thread of Python runs beside
+    sum(range(10**12))
+
+def a_forked_worker_is_terminated():  # as multiprocessing does, which concerns the worker only
+    import os, signal
+    for _ in range(2):
+        child = os.fork()
+        if child == 0:
+            try:
+                time.sleep(60)
+            finally:
+                os._exit(1)
+        time.sleep(0.2)
+        os.kill(child, signal.SIGTERM)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -15
+    time.sleep(4)
+    print("still here", flush=True)
+
+def leaves_slowly():  # what it computed is released behind the block
+    class Slow:
+        def __del__(self):
+            for _ in range(600):
+                time.sleep(0.1)
+    import atexit
+    atexit.register(Slow().__del__)
+    time.sleep(60)
+
 def a_thread_goes_on():
     threading.Thread(target=within_a_library).start()
     time.sleep(60)
@@ -54,7 +81,7 @@ def run():
     globals()[sys.argv[1]]()
     return 0
 
-sys.exit(exit_status(run, program="p", on_interrupt="`p` resumes"))
+sys.exit(exit_status(run, program="p", on_interrupt="`p` resumes", grace_s=3))
 """
 
 
@@ -82,6 +109,7 @@ def started(tmp_path: Path, work: str, *, ignored: bool = False) -> subprocess.P
         pytest.param("within_a_library", signal.SIGINT, marks=pytest.mark.long),
         ("a_thread_goes_on", signal.SIGTERM),
         ("after_pycolmap", signal.SIGTERM),
+        ("leaves_slowly", signal.SIGINT),
         pytest.param("swallowed", signal.SIGTERM, marks=pytest.mark.long),
     ],
 )
@@ -95,6 +123,46 @@ def test_the_program_ends_in_time(work: str, number: signal.Signals, tmp_path: P
     _, errors = process.communicate(timeout=20)
     assert time.monotonic() - began < 5
     assert errors == "interrupted; `p` resumes\n"
+    assert process.returncode == 128 + number
+
+
+def test_compiled_code_with_the_interpreters_lock_is_ended(tmp_path: Path) -> None:
+    process = started(tmp_path, "with_the_lock")
+    time.sleep(0.1)
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=70)
+    assert time.monotonic() - began < 5
+    assert errors == "interrupted; `p` resumes\n"
+    assert process.returncode == -signal.SIGKILL
+
+
+def test_a_signal_of_a_forked_worker_is_its_own(tmp_path: Path) -> None:
+    process = started(tmp_path, "a_forked_worker_is_terminated")
+    output, errors = process.communicate(timeout=20)
+    assert (output, errors, process.returncode) == ("still here\n", "", 0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("program", ["std-bench", "std-curate"])
+def test_a_signal_while_a_program_starts_is_told(program: str, number: signal.Signals) -> None:
+    """Options are imported before the command begins: here, a library that takes a minute."""
+    code = (
+        "import sys, time\n"
+        "import std_toolkit.cli.command as command\n"
+        "def slowly(reference):\n    print('begun', flush=True)\n    time.sleep(60)\n"
+        "command._load = slowly\n"
+        "from std_toolkit.cli.programs import run\n"
+        f"sys.argv = ['{program}', {'depth' if program == 'std-bench' else 'check'!r}]\n"
+        f"sys.exit(run('{program}'))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=20)
+    assert errors == "interrupted; nothing was begun\n"
     assert process.returncode == 128 + number
 
 

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -111,3 +112,44 @@ def test_an_address_without_a_cluster_is_one_clear_error(address: str) -> None:
     options = JobOptions(engine="ray", ray_address=address, progress=False)
     with pytest.raises(ToolkitError, match=r"--ray-address: .*ray start --head"):
         run_jobs(job_items.square, range(2), name="lost", options=options)
+
+
+def test_a_terminated_run_says_how_to_resume_and_leaves_no_process(tmp_path: Path) -> None:
+    """Ray replaces the handler of SIGTERM by one that ends the program without a word."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\n"
+        "from std_toolkit.cli.command import exit_status\n"
+        "from std_toolkit.jobs import JobOptions, run_jobs\n"
+        "from tests.std_toolkit.jobs.job_items import sleep_long\n"
+        "import ray, tests.std_toolkit.jobs.job_items as job_items\n"
+        "ray.cloudpickle.register_pickle_by_value(job_items)\n"
+        "jobs = [(i, __import__('pathlib').Path(sys.argv[1])) for i in range(2)]\n"
+        "options = JobOptions(engine='ray', workers=2, progress=False)\n"
+        "def work():\n"
+        "    run_jobs(sleep_long, jobs, name='n', key=lambda j: str(j[0]), options=options)\n"
+        "    return 0\n"
+        "sys.exit(exit_status(work, program='p', grace_s=3))\n"
+    )
+    root = Path(__file__).parents[3]
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    end = time.monotonic() + 120
+    while len(started := list(tmp_path.glob("started_*"))) < 2:
+        assert process.poll() is None and time.monotonic() < end
+        time.sleep(0.05)
+    began = time.monotonic()
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert time.monotonic() - began < 5
+    assert said.splitlines()[-1] == "interrupted; run the same command again to resume"
+    assert process.returncode == 143
+    workers = [int(path.name.split("_")[2]) for path in started]
+    end = time.monotonic() + 10
+    while any(Path(f"/proc/{worker}").exists() for worker in workers):
+        assert time.monotonic() < end
+        time.sleep(0.05)

@@ -1,0 +1,79 @@
+"""A small process beside a program that ends it some seconds after a signal.
+
+It is run by its path, without site packages: `guard.py PID SECONDS MESSAGE`. Its input is the pipe
+that Python writes the numbers of signals to, in C, whatever holds the interpreter: compiled code
+that keeps the interpreter's lock for minutes (a surface reconstruction, the loading of a library
+of a gigabyte) lets no handler and no thread of the program run.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from contextlib import suppress
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+TOLD = 0
+"""Byte of a program that has printed by itself how to resume."""
+
+_LAST_S = 1.0
+
+
+def main(program: int, grace_s: float, message: str) -> None:
+    """Wait for a signal; let the program end itself, then end it.
+
+    At the end of the time, the number of the signal goes to the output, where a thread of the
+    program waits for it to leave with the right status. A program that does not is killed.
+    """
+    for number in (*SIGNALS, signal.SIGHUP, signal.SIGPIPE):
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        ended = os.pidfd_open(program)
+    except OSError:  # it has ended already, or Linux is older than 5.3
+        return
+    told, deadline, first = False, None, 0
+    inputs = [0, ended]
+    while deadline is None or time.monotonic() < deadline:
+        left = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+        ready = select.select(inputs, [], [], left)[0]
+        if ended in ready:
+            return
+        if 0 in ready:
+            numbers = os.read(0, 64)
+            if not numbers:
+                inputs.remove(0)
+            told = told or TOLD in numbers
+            signals = [n for n in numbers if n in SIGNALS]
+            if deadline is None and signals:
+                first, deadline = signals[0], time.monotonic() + grace_s
+    children = children_of(program)
+    with suppress(OSError):
+        os.write(1, bytes([first]))
+    left_by_itself = bool(select.select([ended], [], [], _LAST_S)[0])
+    if not left_by_itself and not told:
+        with suppress(OSError):
+            os.write(2, f"{message}\n".encode())
+    # Workers of `multiprocessing` end with their parent; others would stay.
+    for process in (*children, *([] if left_by_itself else [program])):
+        if process != os.getpid():
+            with suppress(OSError):
+                os.kill(process, signal.SIGKILL)
+
+
+def children_of(program: int) -> list[int]:
+    """Processes that a process started."""
+    found = []
+    for name in os.listdir("/proc"):
+        if name.isdecimal():
+            with suppress(OSError, ValueError, IndexError), open(f"/proc/{name}/stat") as file:
+                # Its name, in brackets, may contain spaces. State and parent follow.
+                if int(file.read().rpartition(")")[2].split()[1]) == program:
+                    found.append(int(name))
+    return found
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), float(sys.argv[2]), sys.argv[3])
