@@ -66,9 +66,9 @@ def main(program: int, grace_s: float, message: str) -> None:
 def children_of(program: int) -> list[int]:
     """Processes that a process started."""
     found = []
-    for name in os.listdir("/proc"):
+    for name in os.listdir("/proc"):  # noqa: PTH208 - pathlib takes as long to load as Python
         if name.isdecimal():
-            with suppress(OSError, ValueError, IndexError), open(f"/proc/{name}/stat") as file:
+            with suppress(OSError, ValueError, IndexError), open(f"/proc/{name}/stat") as file:  # noqa: PTH123
                 # Its name, in brackets, may contain spaces. State and parent follow.
                 if int(file.read().rpartition(")")[2].split()[1]) == program:
                     found.append(int(name))
