@@ -37,8 +37,8 @@ def main(program: int, grace_s: float, message: str) -> None:
     told, deadline, first = False, None, 0
     inputs = [0, ended]
     while deadline is None or time.monotonic() < deadline:
-        left = None if deadline is None else max(deadline - time.monotonic(), 0.0)
-        ready = select.select(inputs, [], [], left)[0]
+        wait_s = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+        ready = select.select(inputs, [], [], wait_s)[0]
         if ended in ready:
             return
         if 0 in ready:
@@ -49,18 +49,25 @@ def main(program: int, grace_s: float, message: str) -> None:
             signals = [n for n in numbers if n in SIGNALS]
             if deadline is None and signals:
                 first, deadline = signals[0], time.monotonic() + grace_s
-    children = children_of(program)
+    children = [child for child in children_of(program) if child != os.getpid()]
     with suppress(OSError):
         os.write(1, bytes([first]))
-    left_by_itself = bool(select.select([ended], [], [], _LAST_S)[0])
-    if not left_by_itself and not told:
-        with suppress(OSError):
-            os.write(2, f"{message}\n".encode())
-    # Workers of `multiprocessing` end with their parent; others would stay.
-    for process in (*children, *([] if left_by_itself else [program])):
-        if process != os.getpid():
+    left = bool(select.select([ended], [], [], _LAST_S / 3)[0])
+    # Workers of `multiprocessing` end with their parent; others would stay. The program may be
+    # waiting for one of them, with the lock.
+    for child in children:
+        _kill(child)
+    left = left or bool(select.select([ended], [], [], 2 * _LAST_S / 3)[0])
+    if not left:
+        if not told:
             with suppress(OSError):
-                os.kill(process, signal.SIGKILL)
+                os.write(2, f"{message}\n".encode())
+        _kill(program)
+
+
+def _kill(process: int) -> None:
+    with suppress(OSError):
+        os.kill(process, signal.SIGKILL)
 
 
 def children_of(program: int) -> list[int]:
