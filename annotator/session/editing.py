@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, Literal
 
 from annotator.session import ledger, merge, recovery
@@ -204,9 +205,19 @@ class Editing(Queries):
             centre=self.centre,
             shared=self.posed,
             annotator=self.annotator,
-            time=_now(),
+            time=self._time(),
             reserved=self._ids_in_use,
         )
+
+    def _time(self) -> str:
+        """Time of an edit, after that of every pose there is: a clock may be set back."""
+        now = _now()
+        placed = (p.time for o in self.state.objects for p in o.placements.values())
+        newest = max(placed, default="")
+        if now <= newest:
+            with suppress(ValueError, OverflowError):  # a time of another program
+                return _text(datetime.fromisoformat(newest) + timedelta(milliseconds=1))
+        return now
 
     def _ids_in_use(self) -> set[int]:
         on_disk = {o.id for o in self._ledger.base.stored.objects.objects}
@@ -228,7 +239,11 @@ class Editing(Queries):
 
 
 def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    return _text(datetime.now(UTC))
+
+
+def _text(time: datetime) -> str:
+    return time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 class Recorder:

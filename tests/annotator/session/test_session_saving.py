@@ -37,6 +37,21 @@ def rows(root: Path) -> dict[int, str]:
 
 
 class TestWhatIsWritten:
+    def test_the_last_edit_is_the_origin_though_the_clock_was_set_back(
+        self, loose_root: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Poses by frame, without camera poses: the label names the method of the latest."""
+        with Session.open(loose_root, annotator="ann") as session:
+            session.apply(SetPoses.one("box_1", 1, POSE, method="typed"))
+            yesterday = "2020-01-01T00:00:00.000Z"
+            monkeypatch.setattr("annotator.session.editing._now", lambda: yesterday)
+            session.apply(SetPoses.one("box_1", 2, POSE, method="refine"))
+            session.save()
+        label = Scene.open(loose_root).labels.of(1)
+        assert label is not None and label.method == "refine"
+        assert isinstance(label.provenance, LabelProvenance)
+        assert label.provenance.time > yesterday
+
     def test_labels_that_were_not_edited_stay_to_the_byte(self, several: Path) -> None:
         before = rows(several)
         assert '"views": {\n        "2"' in before[2]
