@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 NO_SYMMETRY = Symmetry()
 # Rotations about the vertical axis through the centre, by any angle.
 TURN_Y = Symmetry(continuous=(((0.0, 1.0, 0.0), (0.0, 0.0, 0.0)),))
+AssetMaterial = Literal["raw", "diffuse", "transparent", "specular"]
+
 # Largest deviation of a mesh from the canonical frame: the rounding of float32 files.
 _TOLERANCE = 1e-5
 
@@ -46,6 +48,8 @@ class Asset:
         diagonal_m: bounding-box diagonal of the real object in metres, if the source knows it.
         face_parts: (F,) name of the part that each face belongs to, or None: one part, "body".
         cavity: closed surface of what the object can contain, if it is a closed vessel.
+        material: class of the object's real surface: raw (as textured), diffuse, transparent or
+            specular; None: any that its category may have.
 
     Raises:
         ToolkitError: a mesh without faces or outside the canonical frame, or arrays of wrong shape.
@@ -61,6 +65,7 @@ class Asset:
     diagonal_m: float | None = None
     face_parts: NDArray[np.str_] | None = None
     cavity: trimesh.Trimesh | None = None
+    material: AssetMaterial | None = None
 
     def __post_init__(self) -> None:
         check_name(self.id, field="id")

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -58,6 +59,8 @@ class AssetRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         up: vertical axis of the file, "y" or "z".
         unit: "m", "cm" or "mm" if the file has the object's real size; by default the unit that
             the source was opened with.
+        material: class of the object's real surface: "raw" (as textured), "diffuse", "transparent"
+            or "specular"; by default any that objects of the category may have.
     """
 
     mesh: str
@@ -66,6 +69,7 @@ class AssetRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     symmetry: Literal["none", "axis:y", "auto"] = "auto"
     up: Literal["y", "z"] = "y"
     unit: Literal["m", "cm", "mm"] | None = None
+    material: asset.AssetMaterial | None = None
 
 
 class AssetList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -133,7 +137,7 @@ class FolderSource:
         row = self._rows.get(asset_id)
         if row is None:
             raise ToolkitError("no mesh of this id", path=self._root, field="id", value=asset_id)
-        return mesh_file.read_asset(
+        read = mesh_file.read_asset(
             self._root / row.mesh,
             asset_id=asset_id,
             category=row.category,
@@ -141,6 +145,7 @@ class FolderSource:
             symmetry=_SYMMETRIES[row.symmetry],
             up=row.up,
         )
+        return replace(read, material=row.material)
 
     def _found(self) -> list[AssetRow]:
         return [

@@ -201,6 +201,8 @@ def dress_scene(
         material_class = draw_material_class(
             rng, dressed_as or asset.category, allowed=_CLASSES[options.materials]
         )
+        if asset.material is not None and options.materials == "mixed":
+            material_class = asset.material
         drawn = ObjectDraw(
             instance=instance,
             asset=asset.id,

@@ -42,6 +42,8 @@ class FlatPatchSettings:
         grasps: largest number of grasps that are given back.
         least_height, least_top, least_area: as of `antipodal`.
         steepest: largest angle between the cup's axis and straight down, degrees.
+        roughest: largest standard deviation of what is seen under the lip from a smooth (quadratic)
+            surface, metres: more is a step, such as beside a handle.
     """
 
     cup_radius: float = 0.01
@@ -52,6 +54,7 @@ class FlatPatchSettings:
     least_top: float = 0.01
     least_area: float = 3e-4
     steepest: float = 75.0
+    roughest: float = 0.002
 
     def __post_init__(self) -> None:
         check_limits(
@@ -63,15 +66,16 @@ class FlatPatchSettings:
             ("least_top", 0.0, 0.1),
             ("least_area", 0.0, 0.1),
             ("steepest", 1.0, 89.0),
+            ("roughest", 1e-4, 0.1),
         )
 
 
 class FlatPatches:
     """Suction on flat patches of the seen surface; nothing is learned, and no object is known.
 
-    A place counts where the depth around it is known in every direction, and where the springs of
-    the cup (`benchmark.metrics.grasp.suction`) would stretch less than they may. The best ones need
-    the least stretch, are near the middle of their object, and face up.
+    A place counts where the depth around it is known in every direction and has no step, and where
+    the springs of the cup (`benchmark.metrics.grasp.suction`) would stretch less than they may. The
+    best ones need the least stretch, are near the middle of their object, and face up.
 
     Args:
         options: settings as in `FlatPatchSettings`.
@@ -148,17 +152,26 @@ class FlatPatches:
         return np.array(places), np.array(planes), np.array(stretches)
 
     def _ring(self, local: Floats, normal: Floats) -> Floats | None:
-        """(8,) mean height of what is seen under each part of the lip; None if one is empty."""
+        """(8,) mean height of what is seen under each part of the lip.
+
+        None if the inner or outer half of one is empty, or if the surface has a step there, which
+        a mean would hide.
+        """
         R = _frames(-normal[None])[0]
         y, z = local @ R[:, 1], local @ R[:, 2]
         radius = np.hypot(y, z) / self.cup.radius
         lip = (radius > _INNER) & (radius < _OUTER)
         sector = np.floor((np.arctan2(z, y)[lip] / (2 * np.pi) % 1) * _SECTORS).astype(np.int64)
-        count = np.bincount(sector, minlength=_SECTORS)[:_SECTORS]
-        if (count == 0).any():
+        half = 2 * sector + (radius[lip] > 1)
+        if (np.bincount(half, minlength=2 * _SECTORS) == 0).any():
             return None
-        total = np.bincount(sector, weights=local[lip] @ normal, minlength=_SECTORS)[:_SECTORS]
-        return np.asarray(total / count)
+        height, y, z = local[lip] @ normal, y[lip], z[lip]
+        smooth = np.stack([np.ones_like(y), y, z, y * y, y * z, z * z], axis=1)
+        rest = height - smooth @ np.linalg.lstsq(smooth, height, rcond=None)[0]
+        if float(rest.std()) > self.settings.roughest:
+            return None
+        total = np.bincount(sector, weights=height, minlength=_SECTORS)
+        return np.asarray(total / np.bincount(sector, minlength=_SECTORS))
 
     def _hits(self, grasps: Grasps, seen: Floats) -> NDArray[np.bool_]:
         """(N,) grasps whose tube or box would be where something is seen, on the way too."""

@@ -97,6 +97,18 @@ def test_the_planner_finds_the_middle_of_the_flat_top():
         FlatPatches(MethodOptions(settings={"cup_radius": "1"}))
 
 
+def test_the_planner_keeps_the_whole_lip_on_a_bar():
+    """A cup of 20 mm on a bar of 28 mm may be 4 mm beside its middle; a pixel is 1 mm wide."""
+    bar, T, camera = box((0.028, 0.1, 0.05)), camera_pose(), CAMERA.resized(848, 480)
+    depth = ExactCamera(camera, T).observe([bar], [standing(bar)]).depth
+    color = np.zeros((*depth.shape, 3), np.uint8)
+    seen = GraspView(color, depth, camera, T_cam_table=T.inverse().matrix())
+    tips = FlatPatches().plan(seen).transformed(T).tips
+    top = tips[tips[:, 2] > 0.045]
+    assert len(top) > 5
+    assert np.abs(top[:, 0]).max() < 0.0065
+
+
 @pytest.mark.parametrize(
     ("words", "told", "status"),
     [

@@ -133,7 +133,7 @@ def test_folder_by_document(tmp_path: Path) -> None:
     write_obj(tmp_path / "scans" / "box.ply", trimesh.creation.box((0.05, 0.1, 0.2)))
     rows = [
         {"mesh": "scans/cone.ply", "category": "other", "up": "z", "unit": "mm", "id": "cone"},
-        {"mesh": "scans/box.ply", "category": "mug", "symmetry": "axis:y"},
+        {"mesh": "scans/box.ply", "category": "mug", "symmetry": "axis:y", "material": "specular"},
     ]
     (tmp_path / "assets.json").write_text(json.dumps({"assets": rows}))
     source = open_source("folder", SourceOptions(root=tmp_path, unit="m"))
@@ -144,6 +144,7 @@ def test_folder_by_document(tmp_path: Path) -> None:
     np.testing.assert_allclose(cone.vertices[cone.vertices[:, 1].argmax(), ::2], 0, atol=1e-6)
     assert cone.mesh.volume > 0
     box = source.load("mug_scans_box")
+    assert (box.material, cone.material) == ("specular", None)
     assert box.symmetry == TURN_Y
     assert box.diagonal_m == pytest.approx(np.linalg.norm((0.05, 0.1, 0.2)))
 
@@ -156,6 +157,7 @@ def test_folder_by_document(tmp_path: Path) -> None:
         ('{"assets": [{"mesh": "../a.ply", "category": "mug"}]}', "relative path"),
         ('{"assets": [{"mesh": "a.ply", "category": "m/u"}]}', "safe name"),
         ('{"assets": [{"mesh": "a.ply", "category": "mug", "colour": 1}]}', "colour"),
+        ('{"assets": [{"mesh": "a.ply", "category": "mug", "material": "glass"}]}', "material"),
         (
             '{"assets": [{"mesh": "a.ply", "category": "mug"}, '
             '{"mesh": "a.obj", "category": "mug"}]}',

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import get_args
 
 import msgspec
@@ -13,13 +14,20 @@ from sensors.assets import open_source
 from sensors.lighting.environment_sources import environment_source
 from sensors.render.sim_renderer import QUALITIES
 from sensors.simulation import world_builder
-from sensors.simulation.options import PRESETS, PresetName, QualityName, SimulationOptions
+from sensors.simulation.options import (
+    PRESETS,
+    MaterialSwitch,
+    PresetName,
+    QualityName,
+    SimulationOptions,
+)
 from sensors.simulation.scene_draw import (
     ALWAYS,
     SOMETIMES,
     SceneDraw,
     draw_categories,
     draw_scene,
+    dress_scene,
     generator,
 )
 from std_toolkit.errors import ToolkitError
@@ -158,6 +166,22 @@ def test_fixed_objects_lie_alike_in_all_scenes(monkeypatch) -> None:
     free = msgspec.structs.replace(options, fix=())
     assert one.draw.light == drawn(5, free).light
     assert [o.asset for o in drawn(5, free).objects] != [o.asset for o in drawn(6, free).objects]
+
+
+def test_objects_of_a_given_material_have_it() -> None:
+    """A flask is glass although its category is not known."""
+    flask = replace(open_source("procedural").sample(np.random.default_rng(0), "can"), category="x")
+    glass = replace(flask, material="transparent")
+
+    def classes(materials: MaterialSwitch) -> list[str]:
+        options = msgspec.structs.replace(OPTIONS, views=1, materials=materials)
+        draw, _ = dress_scene(3, options, [glass, flask], environment_source())
+        return [o.material.material_class for o in draw.objects]
+
+    assert classes("mixed")[0] == "transparent"
+    assert classes("mixed")[1] != "transparent"
+    assert classes("fixed") == ["raw", "raw"]
+    assert "transparent" not in classes("opaque")
 
 
 def test_objects_stand_in_half_of_mixed_scenes() -> None:
