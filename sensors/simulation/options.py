@@ -135,7 +135,10 @@ class Preset:
 
 PRESETS: dict[PresetName, Preset] = {
     # The public data set: 30 views a scene, labels of 640x360 beside colour of 1280x720.
-    "dreds": Preset(scenes=100, options=SimulationOptions(color_factor=2, quality="better")),
+    "dreds": Preset(
+        scenes=100,
+        options=SimulationOptions(color_factor=2, quality="better", object_poses="any"),
+    ),
     "draft": Preset(scenes=10, options=SimulationOptions()),
     # For tests and for trying a benchmark.
     "tiny": Preset(
