@@ -8,12 +8,14 @@ profile. What points into the vessel, such as its inner wall, has differences ou
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3
 from std_toolkit.log import logger
 from std_toolkit.scanning.glass_profile import outline_evidence, rough_profile
 from std_toolkit.scanning.revolve import fit_outline_points
@@ -70,7 +72,7 @@ def find_vessel(
         )
     centre = rough.centre
     heights, radii = _with_rim(views, evidence, centre, rough.heights, rough.radii)
-    T = None
+    T: SE3 | None = None
     found = None
     for reach in _REACH:
         outlines = [_outline_of(v, centre, heights, radii, T) for v in views]
@@ -158,7 +160,7 @@ def _with_rim(
     return heights[:best], radii[:best]
 
 
-def _outline_of(view: View, centre: Array, heights: Array, radii: Array, T: object) -> Mask:
+def _outline_of(view: View, centre: Array, heights: Array, radii: Array, T: SE3 | None) -> Mask:
     """Pixels that a solid of revolution covers: frusta are convex, and so are their images."""
     angle = np.linspace(0, 2 * np.pi, 96, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -170,21 +172,19 @@ def _outline_of(view: View, centre: Array, heights: Array, radii: Array, T: obje
         ],
         axis=2,
     ).reshape(-1, 3)
-    world = points + np.array([*centre, 0.0]) if T is None else T @ points  # type: ignore[operator]
+    world = points + np.array([*centre, 0.0]) if T is None else T @ points
     uv, _ = view.project(world)
     mask = np.zeros(view.image.shape[:2], np.uint8)
     if not np.isfinite(uv).all():
         return mask > 0
     fixed = np.rint(uv.reshape(len(chosen), 96, 2) * 16).astype(np.int32)
-    for lower, upper in zip(fixed[:-1], fixed[1:], strict=True):
+    for lower, upper in pairwise(fixed):
         hull = cv2.convexHull(np.concatenate([lower, upper]))
         cv2.fillConvexPoly(mask, hull, 1, shift=4)
     return mask > 0
 
 
-def _outline_points(
-    mask: Mask, evidence: NDArray[np.float32], reach: float
-) -> tuple[Array, float]:
+def _outline_points(mask: Mask, evidence: NDArray[np.float32], reach: float) -> tuple[Array, float]:
     """Pixels (N, 2) where the difference ends near an outline, and the share of it that shows."""
     lines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not lines:

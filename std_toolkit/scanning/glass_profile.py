@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.scanning.views import Array, Mask, View
+from std_toolkit.scanning.views import Array, View
 
 # Heights of the profile and steps of the radius per step of height.
 _HEIGHTS, _FINE = 90, 4

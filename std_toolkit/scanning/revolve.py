@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,7 +96,8 @@ def fit_outline_points(
     top = float(heights[-1])
     count = int(np.clip(top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     line = np.interp(np.linspace(0, top, count), heights, radii)
-    return _fitted(views, rays, _State(line, top, np.array([*centre, 0.0, 0.0])), None, most_outside)
+    start = _State(line, top, np.array([*centre, 0.0, 0.0]))
+    return _fitted(views, rays, start, None, most_outside)
 
 
 def _fitted(

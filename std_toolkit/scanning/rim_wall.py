@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
 
