@@ -1,6 +1,7 @@
 """Vessels of glass from unsprayed photos: deviation of the fitted surface of revolution.
 
-    python perf/revolve.py [--folder DIR] [--views N] [--size W H] [--photos | --scan] [--only NAME ...]
+    python perf/revolve.py [--folder DIR] [--views N] [--size W H] [--photos | --scan]
+        [--only NAME ...]
 
 Prints for each vessel the median and 95th percentile of the distance from the fitted mesh to the
 true one, on what cameras can see, with exact outlines and with outlines that wander by 1 px. With

@@ -26,6 +26,8 @@ from std_toolkit.scanning.views import Array, Mask, View, in_threads
 # Pixels to both sides of the outline that are searched, in each round.
 _REACH = (6.0, 3.0, 2.0)
 _RIM_PX = 4.0
+# Share of an added piece of outline that must show for a higher rim.
+_SHOWN = 0.35
 # Steps of a pixel along the search, and points along the outline that are averaged.
 _STEP, _TOGETHER = 0.5, 5
 # Least difference of the inside from the outside of an outline point, in widths of the table.
@@ -56,7 +58,22 @@ def find_vessel(
     """
     tables = model_tables(views, corners)
     off = in_threads(lambda i: deviation(views[i], tables, i), range(len(views)), threads=threads)
-    evidence = outline_evidence(off)
+    return fit_vessel(views, outline_evidence(off), corners)
+
+
+def fit_vessel(
+    views: Sequence[View], evidence: Sequence[NDArray[np.float32]], corners: Array
+) -> tuple[RevolvedSurface, list[View]]:
+    """`find_vessel` from the difference of each photo from the bare table.
+
+    Args:
+        views: photos with poses.
+        evidence: (H, W) of each photo, of `outline_evidence`.
+        corners: (M, 3) corners of the board, world.
+
+    Raises:
+        ToolkitError: as `find_vessel`.
+    """
     size = float(np.ptp(corners[:, :2], axis=0).max())
     tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), _TALLEST * size)
     centre = _middle(views, evidence, corners)
@@ -134,10 +151,10 @@ def _with_rim(
     """Heights and radii up to the rim.
 
     The far side of the rim looks like the sides of a cone above the vessel, but in few photos: the
-    height whose whole outline shows best in all photos is taken.
+    height that adds most of an outline that shows in all photos is taken.
     """
     few = [(v, e) for v, e in zip(views, evidence, strict=True)][:: max(1, len(views) // 16)]
-    best, most = len(heights), -1.0
+    best, most = len(heights), -np.inf
     for step in (8, 4, 2, 1):
         tried = range(len(heights) // 3, len(heights) + 1, 8) if step == 8 else (
             best - step, best + step
@@ -145,18 +162,13 @@ def _with_rim(
         for top in tried:
             if not 8 <= top <= len(heights):
                 continue
-            share = float(
-                np.mean(
-                    [
-                        _outline_points(
-                            _outline_of(v, centre, heights[:top], radii[:top], None), e, _RIM_PX
-                        )[1]
-                        for v, e in few
-                    ]
-                )
-            )
-            if share > most:
-                best, most = top, share
+            total = 0.0
+            for view, value in few:
+                outline = _outline_of(view, centre, heights[:top], radii[:top], None)
+                uv, share = _outline_points(outline, value, _RIM_PX)
+                total += len(uv) * (1 - _SHOWN / max(share, 0.05))
+            if total > most:
+                best, most = top, total
     return heights[:best], radii[:best]
 
 
