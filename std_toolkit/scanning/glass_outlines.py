@@ -24,7 +24,7 @@ from std_toolkit.scanning.table_model import deviation, model_tables
 from std_toolkit.scanning.views import Array, Mask, View, in_threads
 
 # Pixels to both sides of the outline that are searched, in each round.
-_REACH = (6.0, 3.0, 2.0)
+_REACH = (6.0, 2.5)
 _RIM_PX = 4.0
 # Share of an added piece of outline that must show for a higher rim.
 _SHOWN = 0.35
@@ -242,4 +242,7 @@ def _outline_points(mask: Mask, evidence: NDArray[np.float32], reach: float) -> 
         share = (a - peak / 2) / np.maximum(a - b, 1e-6)
         edge = np.where(crosses, along[i - 1] + share * _STEP, edge)
     good &= np.isfinite(edge)
-    return np.asarray(line + edge[:, None] * normal, np.float64)[good], float(good.mean())
+    # Where no table is known behind the outline, nothing tells whether it shows.
+    before = known[:, np.searchsorted(along, 0.0)]
+    share = float(good.sum() / max(before.sum(), 1))
+    return np.asarray(line + edge[:, None] * normal, np.float64)[good], share

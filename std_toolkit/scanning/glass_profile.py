@@ -21,6 +21,8 @@ from std_toolkit.scanning.views import Array, View
 
 # Heights of the profile and steps of the radius per step of height.
 _HEIGHTS, _FINE = 90, 4
+# Heights of the profiles by which the axis is looked for first, and its steps in metres.
+_COARSE_HEIGHTS, _COARSE_M = 40, 0.003
 # Changes of the radius per height; steps beyond them, as at the foot of a glass, have a price.
 _SLOPES = np.array([-6, -4, -2, -1, 0, 1, 2, 4, 6])
 _JUMP, _JUMP_PRICE = 40, 0.6
@@ -74,13 +76,16 @@ def outline_evidence(deviation: Sequence[NDArray[np.float32]]) -> list[NDArray[n
 class _Photos:
     """Evidence of the photos, blurred for points beside an outline, and their cameras."""
 
-    def __init__(self, views: Sequence[View], evidence: Sequence[NDArray[np.float32]]) -> None:
+    def __init__(
+        self, views: Sequence[View], evidence: Sequence[NDArray[np.float32]], *, wide: int = 1
+    ) -> None:
         self.views = views
+        self._wide = wide
         self._near, self._far = [], []
         for value in evidence:
             known = np.isfinite(value).astype(np.float32)
             filled = np.where(known > 0, value, 0).astype(np.float32)
-            for kept, size in ((self._near, 3), (self._far, 7)):
+            for kept, size in ((self._near, 4 * wide - 1), (self._far, 7)):
                 share = cv2.blur(known, (size, size))
                 mean = cv2.blur(filled, (size, size)) / np.maximum(share, 1e-3)
                 kept.append(np.where(share > 0.3, mean, np.nan).astype(np.float32))
@@ -92,6 +97,7 @@ class _Photos:
             centre: (2,) of the axis.
             height, radius, slope: of the profile, any equal shape.
         """
+        within, beside = self._wide * _WITHIN, self._wide * _BESIDE
         total, count = np.zeros(height.shape, np.float32), np.zeros(height.shape, np.float32)
         for i, view in enumerate(self.views):
             C, P = view.centre, view.P
@@ -116,10 +122,10 @@ class _Photos:
                 su, sv = _projected(P, centre[0], centre[1], height)
                 flip = np.where(nu * (u - su) + nv * (v - sv) < 0, -1.0, 1.0)
                 nu, nv = nu * flip, nv * flip
-                inner = _at(self._near[i], u - _WITHIN * nu, v - _WITHIN * nv)
-                beside = _at(self._near[i], u + _BESIDE * nu, v + _BESIDE * nv)
+                inner = _at(self._near[i], u - within * nu, v - within * nv)
+                outer = _at(self._near[i], u + beside * nu, v + beside * nv)
                 far = [_at(self._far[i], u + k * nu, v + k * nv) for k in _FAR]
-                value = inner - beside - _FAR_WEIGHT * np.nansum(far, axis=0)
+                value = inner - outer - _FAR_WEIGHT * np.nansum(far, axis=0)
                 good = ok & np.isfinite(value)
                 # Far from the sides, the outline runs along rim or base: the same pixels would
                 # serve many heights.
@@ -168,6 +174,7 @@ def rough_profile(
         centre: (2,) near which the axis meets the table, metres.
         tallest, widest: limits of height and radius, metres.
     """
+    centre = _near_centre(_Photos(views[::2], evidence[::2], wide=2), centre, tallest, widest)
     photos = _Photos(views, evidence)
     found = None
     for reach in (0.012, 0.004):
@@ -179,10 +186,36 @@ def rough_profile(
     return _best_profile(photos, centre, tallest, widest)
 
 
-def _best_profile(photos: _Photos, centre: Array, tallest: float, widest: float) -> RoughProfile:
-    step = tallest / (_HEIGHTS - 1)
+def _near_centre(photos: _Photos, centre: Array, tallest: float, widest: float) -> Array:
+    """The axis with most evidence, each with a coarse profile of its own, to a few millimetres."""
+    known: dict[tuple[int, int], float] = {}
+
+    def value(at: tuple[int, int]) -> float:
+        if at not in known:
+            place = np.asarray(centre) + _COARSE_M * np.array(at)
+            found = _best_profile(photos, place, tallest, widest, count=_COARSE_HEIGHTS)
+            known[at] = (found.evidence - _PRICE) * len(found.heights)
+        return known[at]
+
+    best = (0, 0)
+    for step in (2, 1):
+        for _ in range(4):
+            around = [
+                (best[0] + step * i, best[1] + step * j) for i in (-1, 0, 1) for j in (-1, 0, 1)
+            ]
+            better = max(around, key=value)
+            if value(better) <= value(best):
+                break
+            best = better
+    return np.asarray(np.asarray(centre) + _COARSE_M * np.array(best))
+
+
+def _best_profile(
+    photos: _Photos, centre: Array, tallest: float, widest: float, *, count: int = _HEIGHTS
+) -> RoughProfile:
+    step = tallest / (count - 1)
     fine = step / _FINE
-    heights = np.arange(_HEIGHTS) * step
+    heights = np.arange(count) * step
     radii = np.arange(1, max(int(widest / fine), 8)) * fine
     # (slopes, heights, radii)
     shape = (len(_SLOPES), len(heights), len(radii))
@@ -204,7 +237,7 @@ def _best_profile(photos: _Photos, centre: Array, tallest: float, widest: float)
     came[0] = -1
     values = [value]
     index = np.arange(len(radii))
-    for k in range(1, len(heights)):
+    for k in range(1, count):
         best = np.full(len(radii), -np.inf)
         for n, s in enumerate(_SLOPES):
             start = index - s
