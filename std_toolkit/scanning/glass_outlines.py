@@ -18,6 +18,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.log import logger
 from std_toolkit.scanning.glass_profile import outline_evidence, rough_profile
+from std_toolkit.scanning.masks import dilated
 from std_toolkit.scanning.revolve import fit_outline_points
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scanning.table_model import deviation, model_tables
@@ -26,6 +27,7 @@ from std_toolkit.scanning.views import Array, Mask, View, in_threads
 # Pixels to both sides of the outline that are searched, in each round.
 _REACH = (6.0, 2.5)
 _RIM_PX = 4.0
+_BESIDE_PX = 4
 # Share of an added piece of outline that must show for a higher rim.
 _SHOWN = 0.35
 # Steps of a pixel along the search, and points along the outline that are averaged.
@@ -151,9 +153,14 @@ def _with_rim(
     """Heights and radii up to the rim.
 
     The far side of the rim looks like the sides of a cone above the vessel, but in few photos: the
-    height that adds most of an outline that shows in all photos is taken.
+    height that adds most of an outline that shows in all photos, and leaves least that differs from
+    the table outside, is taken.
     """
     few = [(v, e) for v, e in zip(views, evidence, strict=True)][:: max(1, len(views) // 16)]
+    strong = [
+        dilated(_outline_of(v, centre, heights, radii, None), _BESIDE_PX) & (e > 2 * _LEAST)
+        for v, e in few
+    ]
     best, most = len(heights), -np.inf
     for step in (8, 4, 2, 1):
         tried = range(len(heights) // 3, len(heights) + 1, 8) if step == 8 else (
@@ -163,8 +170,9 @@ def _with_rim(
             if not 8 <= top <= len(heights):
                 continue
             total = 0.0
-            for view, value in few:
+            for (view, value), different in zip(few, strong, strict=True):
                 outline = _outline_of(view, centre, heights[:top], radii[:top], None)
+                total -= 0.5 * float((different & ~dilated(outline, _BESIDE_PX)).sum())
                 uv, share = _outline_points(outline, value, _RIM_PX)
                 total += len(uv) * (1 - _SHOWN / max(share, 0.05))
             if total > most:
