@@ -2,8 +2,8 @@
 
 python examples/09_scan_an_object.py [FOLDER]
 
-FOLDER then has photos/ and board.json as a camera would give them, and model/ with the mesh and its
-report. It takes about 5 minutes on two cores (extras `sim` and `scan`).
+FOLDER/turntable then has photos/ and board.json as a camera would give them, FOLDER/model the mesh
+and its report. Needs the extras `sim` and `scan`.
 """
 
 import sys
