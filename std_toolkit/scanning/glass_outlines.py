@@ -134,9 +134,8 @@ def _middle(
     total = np.zeros(len(points))
     for view, value in zip(views, evidence, strict=True):
         blurred = cv2.GaussianBlur(np.nan_to_num(value), (0, 0), 5)
-        uv, _ = view.project(points)
-        uv = np.nan_to_num(uv, nan=-9).astype(np.float32)[None]
-        total += cv2.remap(blurred, uv[..., 0], uv[..., 1], cv2.INTER_LINEAR)[0]
+        at = np.nan_to_num(view.project(points)[0], nan=-9).astype(np.float32)[None]
+        total += cv2.remap(blurred, at[..., 0], at[..., 1], cv2.INTER_LINEAR)[0]
     score = total.reshape(x.shape).sum(axis=2)
     weight = np.where(score > 0.7 * score.max(), score, 0)
     grid = np.stack([x[..., 0], y[..., 0]], axis=-1)
@@ -209,11 +208,11 @@ def _outline_points(mask: Mask, evidence: NDArray[np.float32], reach: float) -> 
     lines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not lines:
         return np.zeros((0, 2)), 0.0
-    line = max(lines, key=len)[:, 0].astype(np.float32)
+    line = max(lines, key=len)[:, 0].astype(np.float64)
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 3)
     gx, gy = cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)
     x, y = line.astype(int).T
-    normal = -np.stack([gx[y, x], gy[y, x]], axis=1)
+    normal = -np.stack([gx[y, x], gy[y, x]], axis=1).astype(np.float64)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     # The outermost pixels of the mask lie half a pixel within the outline.
     line = line + 0.5 * normal

@@ -81,7 +81,8 @@ class _Photos:
     ) -> None:
         self.views = views
         self._wide = wide
-        self._near, self._far = [], []
+        self._near: list[NDArray[np.float32]] = []
+        self._far: list[NDArray[np.float32]] = []
         for value in evidence:
             known = np.isfinite(value).astype(np.float32)
             filled = np.where(known > 0, value, 0).astype(np.float32)
@@ -263,9 +264,12 @@ def _best_profile(
     path = [at]
     for k in range(top, 0, -1):
         path.append(int(came[k, path[-1]]))
-    chosen = radii[np.array(path[::-1])]
+    chosen = np.asarray(radii[np.array(path[::-1])], np.float64)
     return RoughProfile(
-        np.asarray(centre), heights[: top + 1], chosen, float(whole[top, at] / (top + 1)) + _PRICE
+        np.asarray(centre, np.float64),
+        np.asarray(heights[: top + 1], np.float64),
+        chosen,
+        float(whole[top, at] / (top + 1)) + _PRICE,
     )
 
 

@@ -68,6 +68,7 @@ def scan(options: ScanOptions) -> Scan:
     inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
     posed = _poses(options, found, stages, work, inputs)
     lap("poses")
+    vessel: RevolvedSurface | None = None
     if options.revolve and posed.on_table and not (options.masks or options.pick or options.box):
         vessel, views = find_vessel(posed.views, posed.corners, threads=threads)
     else:

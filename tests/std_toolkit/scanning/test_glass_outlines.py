@@ -53,6 +53,7 @@ def photos() -> tuple[list[View], list[NDArray[np.float32]]]:
     return views, evidence
 
 
+@pytest.mark.slow
 def test_vessel_is_found_from_lines_along_its_outline(
     photos: tuple[list[View], list[NDArray[np.float32]]],
 ) -> None:
