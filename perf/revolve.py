@@ -1,11 +1,13 @@
 """Vessels of glass from unsprayed photos: deviation of the fitted surface of revolution.
 
-    python perf/revolve.py [--folder DIR] [--views N] [--photos] [--only NAME ...]
+    python perf/revolve.py [--folder DIR] [--views N] [--size W H] [--photos | --scan]
+        [--only NAME ...]
 
 Prints for each vessel the median and 95th percentile of the distance from the fitted mesh to the
 true one, on what cameras can see, with exact outlines and with outlines that wander by 1 px. With
 `--photos`, `std-sim turntable` photographs the vessels (glass, refraction, no spray) and the wall
-comes from the rim in the photos; without it, the wall is a guess.
+comes from the rim in the photos; without it, the wall is a guess. With `--scan`, poses and masks
+are not given: `std-scan --revolve` finds them in the photos.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.images import read_color
-from std_toolkit.scanning.revolve import OutlineView, fit_revolution
+from std_toolkit.scanning.revolve import fit_revolution
+from std_toolkit.scanning.revolved_surface import OutlineView
 
 # Outer and inner profiles, (radius, height) in millimetres, bottom first; a thousandth of a
 # millimetre on the axis closes the surface.
@@ -153,20 +156,70 @@ def wandering(mask: np.ndarray, rng: np.random.Generator, px: float) -> np.ndarr
     return np.asarray(inside - outside + px * field / field.std() > 0)
 
 
-def measure(name: str, folder: Path, views: int, *, photos: bool) -> None:
+def apart_mm(
+    vertices: np.ndarray, faces: np.ndarray, poses: list[SE3], camera: Camera, true: RayCaster
+) -> tuple[np.ndarray, str]:
+    """Distances of what cameras see of a mesh from the true one, and whether it is closed."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    caster = RayCaster(vertices, faces)
+    points = []
+    for pose in poses:
+        rays, distance = seen_from(camera, pose, caster, 7)
+        hit = np.isfinite(distance)
+        points.append(rays[hit][:, :3] + rays[hit][:, 3:] * distance[hit][:, None])
+    closed = "closed" if mesh.is_watertight else "NOT CLOSED"
+    return 1000 * true.distance(np.concatenate(points)), closed
+
+
+def scanned(
+    name: str, photos: Path, out: Path, poses: list[SE3], camera: Camera, true: RayCaster
+) -> None:
+    """Print the figures of a scan without given poses and masks; its cameras are aligned."""
+    from std_toolkit.geometry import umeyama
+    from std_toolkit.scanning.options import ScanOptions
+    from std_toolkit.scanning.scan_step import scan
+
+    start = time.process_time()
+    done = scan(
+        ScanOptions(
+            photos=photos / "photos", board=photos / "board.json", out=out, revolve=True,
+            texture=512,
+        )
+    )  # fmt: skip
+    seconds = time.process_time() - start
+    true_centres = np.stack([poses[int(Path(v.name).stem)].t for v in done.views])
+    T = umeyama(np.stack([v.centre for v in done.views]), true_centres, with_scale=False)
+    fitted = done.vertices @ T.matrix()[:3, :3].T + T.matrix()[:3, 3]
+    apart, closed = apart_mm(fitted, done.faces, poses, camera, true)
+    print(
+        f"{name:12s} scan     median {np.median(apart):.3f}  p95 {np.percentile(apart, 95):.2f} mm"
+        f"  outline {done.facts['outline residual']}  wall {done.facts['wall']}  {closed}"
+        f"  height {1000 * np.ptp(fitted[:, 2]):.1f} mm  {seconds:.0f} s",
+        flush=True,
+    )
+
+
+def measure(
+    name: str, folder: Path, views: int, size: tuple[int, int], *, photos: bool, whole: bool
+) -> None:
     """Print the figures of one vessel."""
     file = folder / f"{name}.ply"
-    vessel_mesh(name).export(file)
+    if not file.exists():
+        vessel_mesh(name).export(file)
     options = TurntableOptions(
-        mesh=file, out=folder / f"{name}_{views}", material="glass", views=views
-    )
-    (make_turntable if photos else write_truth)(options)
+        mesh=file, out=folder / f"{name}_{views}", material="glass", views=views,
+        width=size[0], height=size[1],
+    )  # fmt: skip
+    (make_turntable if photos or whole else write_truth)(options)
     truth = read_turntable_truth(options.out)
     mesh = load_mesh(options.out / "truth/mesh.ply")
     vertices = SE3.from_matrix(truth.T_world_obj) @ np.asarray(mesh.vertices)
     true = RayCaster(vertices, mesh.faces)
     camera = truth.camera.camera()
     poses = [truth.pose(i) for i in range(views)]
+    if whole:
+        scanned(name, options.out, folder / f"{name}_scan", poses, camera, true)
+        return
     masks = [np.isfinite(seen_from(camera, p, true, 1)[1]) for p in poses]
     images = [read_color(options.out / "photos" / n) if photos else None for n in truth.photos]
     for px in (0.0, 1.0):
@@ -179,19 +232,12 @@ def measure(name: str, folder: Path, views: int, *, photos: bool) -> None:
         found = fit_revolution(given)
         seconds = time.process_time() - start
         fitted, faces = found.mesh()
-        closed = trimesh.Trimesh(fitted, faces, process=False).is_watertight
-        caster = RayCaster(fitted, faces)
-        points = []
-        for pose in poses:
-            rays, distance = seen_from(camera, pose, caster, 7)
-            hit = np.isfinite(distance)
-            points.append(rays[hit][:, :3] + rays[hit][:, 3:] * distance[hit][:, None])
-        apart = 1000 * true.distance(np.concatenate(points))
+        apart, closed = apart_mm(fitted, faces, poses, camera, true)
         wall = f"{1000 * found.wall_m:.2f}" + ("" if found.wall_seen else " (guess)")
         print(
             f"{name:12s} {px:4.1f} px  median {np.median(apart):.3f}  p95 "
             f"{np.percentile(apart, 95):.2f} mm  outline {found.outline_px:.2f} px  wall {wall} mm"
-            f"  {'closed' if closed else 'NOT CLOSED'}  {seconds:.0f} s",
+            f"  {closed}  {seconds:.0f} s",
             flush=True,
         )
 
@@ -200,14 +246,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--views", type=int, default=20)
+    parser.add_argument("--size", type=int, nargs=2, default=(1280, 720))
     parser.add_argument("--photos", action="store_true")
+    parser.add_argument("--scan", action="store_true")
     parser.add_argument("--only", nargs="*", default=list(VESSELS))
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         for name in options.only:
-            measure(name, folder, options.views, photos=options.photos)
+            measure(
+                name, folder, options.views, tuple(options.size), photos=options.photos,
+                whole=options.scan,
+            )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ PRINTED = {
     "06_score_a_restorer": "nearest  specular+transparent",
     "07_write_your_own_restorer": "07_write_your_own_restorer.py.MedianDepth",
     "08_read_results_with_pandas": "specular+transparent",
+    "09_scan_an_object": "scanned: ",
 }
 
 

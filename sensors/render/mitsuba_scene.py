@@ -37,8 +37,6 @@ _VALUES = (
     "clearcoat_gloss",
 )
 
-LARGEST = 1024
-
 
 @dataclass(eq=False)
 class Shapes:
@@ -189,8 +187,6 @@ def environment(mi: Any, scene: SimScene) -> Any:
     )
 
 
-"""Larger textures are reduced: an object covers a few hundred pixels."""
-
 INFRARED_RANGE = (0.02, 0.98)
 
 
@@ -223,7 +219,7 @@ def appearance(item: SceneObject) -> Appearance:
         own = np.asarray(item.color, np.float32)
         mixed = tile if share == 0 else to_srgb(share * own + (1 - share) * to_linear(tile))
         return Appearance(box_uv(item.mesh) / np.float32(tile_m), mixed)
-    own_image = _reduced(item.texture)
+    own_image = _reduced(item.texture, item.largest_texture)
     if item.mesh.uv is None:
         mixed = _mix(own_image, tile, share, item.texture_tile_m / tile_m)
         return Appearance(box_uv(item.mesh) / np.float32(item.texture_tile_m), mixed)
@@ -284,8 +280,8 @@ def _flat(color: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.broadcast_to(to_srgb(color), (4, 4, 3)).copy()
 
 
-def _reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    scale = LARGEST / max(image.shape[:2])
+def _reduced(image: NDArray[np.uint8], largest: int) -> NDArray[np.uint8]:
+    scale = largest / max(image.shape[:2])
     if scale >= 1:
         return image
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))

@@ -65,6 +65,8 @@ class SceneObject:
         texture_tile_m: for a texture without `mesh.uv`: extent of one repetition in metres.
         face_parts: (F,) number of the part that each face belongs to, 0 for the body; None: there
             are no other parts.
+        largest_texture: longer side in pixels to which a larger texture is reduced. In a scene of
+            many objects, each covers a few hundred pixels.
         part_materials: of the parts 1, 2, ...: caps and labels of glass bottles, for example.
     """
 
@@ -77,6 +79,7 @@ class SceneObject:
     texture_tile_m: float = 1.0
     face_parts: NDArray[np.integer] | None = None
     part_materials: tuple[DrawnMaterial, ...] = ()
+    largest_texture: int = 1024
 
     def __post_init__(self) -> None:
         if not 0 <= self.instance_id <= 254:

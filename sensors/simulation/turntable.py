@@ -45,6 +45,9 @@ OBJECT_ID = 1
 # in one place would flicker.
 _GAP_M = 1e-4
 
+# One object fills the photo: print on it is as fine as the photo's pixels.
+_LARGEST_TEXTURE = 4096
+
 _TABLE_HALF_M = 1.2
 _PLATTER_M = 0.24
 
@@ -157,13 +160,15 @@ class Turntable:
     def photo(self, index: int) -> Path:
         return self._o.out / f"photos/{index:03d}.jpg"
 
+    def subject(self) -> SceneObject:
+        """The object on the board, with its material and texture."""
+        return _scene_object(self._mesh, _material(self._o), self.T_world_obj)
+
     def load(self) -> None:
         """Prepare renderer and scene."""
         floor = self._table()
         self._floor = floor
-        material = _material(self._o)
-        item = _scene_object(self._mesh, material, self.T_world_obj)
-        scene = SimScene((floor, *_sheet_objects(self.sheet), item), self._environment)
+        scene = SimScene((floor, *_sheet_objects(self.sheet), self.subject()), self._environment)
         self._caster = TruthCaster(scene)
         self._scene: LoadedScene = SIM_RENDERERS.get("mitsuba")().load(scene)
         self._exposure: float | None = None
@@ -361,6 +366,7 @@ def _scene_object(mesh: Any, material: DrawnMaterial, T_world_obj: SE3) -> Scene
         material,
         texture=texture,
         color=color,
+        largest_texture=_LARGEST_TEXTURE,
     )
 
 

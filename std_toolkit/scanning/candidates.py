@@ -13,15 +13,13 @@ from scipy import ndimage
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.hull import surface_of
-from std_toolkit.scanning.table_model import Comparison, compare, is_table, model_table
+from std_toolkit.scanning.table_model import Comparison, compare, model_tables
 from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
 
 # Voxels of the first, coarse hull.
 _COARSE_VOXELS = 400_000
 # Height of an object in sizes of the board.
 _TALLEST = 2.0
-# Margin of the table around the board that is compared coarsely, in sizes of the board.
-_FAR = 3.0
 # Candidates smaller than this share of the largest are not offered.
 _SMALL = 0.02
 # Share of the photos in which an object hides the table.
@@ -65,20 +63,15 @@ def find_candidates(
         corners: (M, 3) corners of the board, world.
         threads: number of threads.
     """
-    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
-    size = float((high - low).max())
-    low, high = low - 0.35 * size, high + 0.35 * size
-    tables = [model_table(views, low, high, corners)]
-    # Low photos show the table far behind the object.
-    far = model_table(views, low - _FAR * size, high + _FAR * size, corners)
-    if is_table(far):
-        tables.append(far)
+    tables = model_tables(views, corners)
     compared = in_threads(
         lambda i: compare(views[i], tables, i), range(len(views)), threads=threads
     )
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    size = float((high - low).max())
     # Objects stand on the board or reach over its border by a little.
     edge = 0.12 * size
-    low, high = low + 0.35 * size - edge, high - 0.35 * size + edge
+    low, high = low - edge, high + edge
     tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), _TALLEST * size)
     box = np.array([*(high - low), tallest])
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))

@@ -13,12 +13,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera, so3_exp
+from std_toolkit.geometry import SE3, so3_exp
+from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
+from std_toolkit.scanning.rim_wall import wall_at_rim
 
 Array = NDArray[np.float64]
 
@@ -49,87 +50,8 @@ _FEWEST_VIEWS = 4
 # The last of a profile that is looked at for the cone of `_without_cone`, and its slope.
 _CONE_M, _CONE = 0.003, 1.2
 
-SECTIONS = 128
-
 # A wall that no photo shows is taken as this.
 _GUESSED_WALL_M = 0.0025
-_LEAST_WALL_M, _MOST_WALL_M = 0.0008, 0.012
-
-
-@dataclass(frozen=True, eq=False)
-class OutlineView:
-    """One photo of the object.
-
-    Attributes:
-        camera: intrinsics without distortion.
-        T_world_cam: pose; the world is z up, in metres, with the table at z = 0.
-        mask: (H, W) bool pixels that show the object.
-        image: (H, W, 3) uint8 RGB, for the rim; or None.
-    """
-
-    camera: Camera
-    T_world_cam: SE3
-    mask: NDArray[np.bool_]
-    image: NDArray[np.uint8] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class RevolvedSurface:
-    """An axis and a profile with deviations.
-
-    Attributes:
-        T_world_axis: frame whose z axis is the axis; its origin is where the axis meets the table.
-        heights: (K,) metres along the axis, from 0 to the rim.
-        radii: (K,) of the outer wall, metres.
-        deviation_m: (K,) standard deviation of the radii.
-        seen: (K,) whether an outline touches the surface there; elsewhere it is interpolated.
-        wall_m: thickness of the wall at the rim.
-        wall_seen: whether photos show the rim's inner edge; otherwise the wall is a guess.
-        outline_px: root mean square distance of the outline, without what is left out.
-        outside: share of the outline that is left out.
-        warnings: sentences on what is a guess or out of reach.
-    """
-
-    T_world_axis: SE3
-    heights: Array
-    radii: Array
-    deviation_m: Array
-    seen: NDArray[np.bool_]
-    wall_m: float
-    wall_seen: bool
-    outline_px: float
-    outside: float
-    warnings: tuple[str, ...] = ()
-
-    def mesh(self, *, hollow: bool = True) -> tuple[Array, NDArray[np.int64]]:
-        """Watertight triangles in the world frame: vertices (V, 3) in metres, faces (F, 3).
-
-        Args:
-            hollow: with the inner wall, open at the top; False: filled up to the rim.
-        """
-        outer = np.stack([self.radii, self.heights], axis=1)
-        line = [outer, self._inner() if hollow else np.zeros((0, 2))]
-        profile = np.vstack([[[0.0, 0.0]], *line])
-        if not hollow:
-            profile = np.vstack([profile, [[0.0, self.heights[-1]]]])
-        vertices, faces = _turned(profile)
-        return self.T_world_axis @ vertices, faces
-
-    def _inner(self) -> Array:
-        """(N, 2) inner wall, rim first, ending on the axis above the base."""
-        wall, top = self.wall_m, float(self.heights[-1])
-        slope = np.gradient(self.radii, self.heights)
-        across = wall * np.sqrt(1 + np.minimum(slope**2, 4.0))
-        inner = self.radii - across
-        base = max(2 * wall, 0.003)
-        # The cavity ends where it is too narrow, such as above the stem of a glass.
-        closed = np.flatnonzero((inner < wall) & (self.heights < 0.95 * top))
-        low = float(self.heights[closed[-1]]) if len(closed) else 0.0
-        kept = (self.heights > low + base) & (inner > 0)
-        points = np.stack([inner, self.heights], axis=1)[kept][::-1]
-        if not len(points):
-            return np.array([[0.0, top]])
-        return np.vstack([points, [[0.0, points[-1, 1]]]])
 
 
 def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None) -> RevolvedSurface:
@@ -143,10 +65,49 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
         ToolkitError: too few views with an outline, or an outline that is not that of a surface of
             revolution.
     """
-    rays = _outline_rays(views)
-    centre, top = _start(views, rays)
-    state = _State(np.zeros(0), top, np.array([*centre, 0.0, 0.0]))
-    state = _first_profile(rays, state)
+    points = [_outline(view.mask) for view in views]
+    rays = _outline_rays(views, points)
+    state = _first_profile(rays, *_start(views, rays))
+    return _fitted(views, rays, state, wall_m, _LARGEST_OUTSIDE)
+
+
+def fit_outline_points(
+    views: Sequence[OutlineView],
+    points: Sequence[Array],
+    *,
+    centre: Array,
+    heights: Array,
+    radii: Array,
+    most_outside: float = _LARGEST_OUTSIDE,
+) -> RevolvedSurface:
+    """Fit an axis and a profile to points of the outline, near a profile that is known roughly.
+
+    Args:
+        views: photos; their masks are not used.
+        points: (N, 2) pixels of the outline in each photo.
+        centre: (2,) where the axis meets the table, about.
+        heights, radii: (K,) the rough profile, metres.
+        most_outside: share of the points that may belong to something else.
+
+    Raises:
+        ToolkitError: as `fit_revolution`.
+    """
+    rays = _outline_rays(views, points)
+    top = float(heights[-1])
+    count = int(np.clip(top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
+    line = np.interp(np.linspace(0, top, count), heights, radii)
+    start = _State(line, top, np.array([*centre, 0.0, 0.0]))
+    return _fitted(views, rays, start, None, most_outside)
+
+
+def _fitted(
+    views: Sequence[OutlineView],
+    rays: _Rays,
+    state: _State,
+    wall_m: float | None,
+    most_outside: float,
+) -> RevolvedSurface:
+    """Axis and profile by least squares from a start."""
     sigma = _noise(rays, state)
     for _ in range(_ROUNDS // 2):
         state, sigma = _improved(rays, state, sigma)
@@ -162,7 +123,7 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
     kept = np.abs(pixels) <= max(_OUTSIDE * sigma, _LARGEST_PX)
     outside = float((~kept).mean())
     rms = float(np.sqrt((pixels[kept] ** 2).mean()))
-    if outside > _LARGEST_OUTSIDE or rms > _LARGEST_PX:
+    if outside > most_outside or rms > _LARGEST_PX:
         raise ToolkitError(
             f"the object is no surface of revolution: its outline is {rms:.1f} px off, and "
             f"{100 * outside:.0f} % of it far off",
@@ -182,7 +143,7 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
         outside=outside,
     )
     if wall_m is None:
-        shown = _wall_at_rim(views, found)
+        shown = wall_at_rim(views, found)
         if shown is not None:
             found = replace(found, wall_m=shown, wall_seen=True)
     return replace(found, warnings=tuple(_warnings(found, known_wall=wall_m is not None)))
@@ -253,12 +214,11 @@ class _Gaps:
     along: Array
 
 
-def _outline_rays(views: Sequence[OutlineView]) -> _Rays:
+def _outline_rays(views: Sequence[OutlineView], points: Sequence[Array]) -> _Rays:
     rng = np.random.default_rng(0)
     origins, directions, scales = [], [], []
     each = max(100, _MOST_RAYS // max(len(views), 1))
-    for view in views:
-        uv = _outline(view.mask)
+    for view, uv in zip(views, points, strict=True):
         if len(uv) < 20:
             continue
         if len(uv) > each:
@@ -326,8 +286,9 @@ def _samples(rays: _Rays, state: _State) -> Array:
     )
 
 
-def _first_profile(rays: _Rays, state: _State) -> _State:
+def _first_profile(rays: _Rays, centre: Array, top: float) -> _State:
     """The largest surface of revolution within the outlines, but for a small share of them."""
+    state = _State(np.zeros(0), top, np.array([*centre, 0.0, 0.0]))
     count = int(np.clip(state.top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     heights = np.linspace(0, state.top, count)
     T = state.T_world_axis.inverse()
@@ -485,69 +446,3 @@ def _deviation(rays: _Rays, state: _State, sigma: float) -> tuple[Array, NDArray
     near = np.convolve(touched, np.ones(5), mode="same")
     variance = np.diag(np.linalg.inv(A))[:count]
     return np.sqrt(variance), near >= 3
-
-
-def _wall_at_rim(views: Sequence[OutlineView], found: RevolvedSurface) -> float | None:
-    """Thickness of the wall from the rim's inner edge; None if no photo shows it."""
-    top, radius = float(found.heights[-1]), float(found.radii[-1])
-    wall = np.arange(0.0, min(_MOST_WALL_M, 0.6 * radius), 1.5e-4)
-    angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
-    score, used = np.zeros(len(wall)), 0
-    for view in views:
-        T = found.T_world_axis.inverse() @ view.T_world_cam
-        if view.image is None or T.t[2] < top + 0.3 * np.hypot(*T.t[:2]):
-            continue
-        grey = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), 0.8), np.float32)
-        rings = (radius - wall)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        circle = np.concatenate([rings, np.full((*rings.shape[:2], 1), top)], axis=2)
-        uv = view.camera.project(T.inverse() @ circle.reshape(-1, 3)).reshape(rings.shape)
-        value = cv2.remap(
-            grey,
-            uv[..., 0].astype(np.float32),
-            uv[..., 1].astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        change = np.abs(np.gradient(value, axis=0))
-        # Where the ring is seen edge-on, walls of any thickness look the same.
-        wide = np.linalg.norm(uv[0] - uv[-1], axis=1)
-        clear = wide > 0.6 * wide.max()
-        score += np.median(change[:, clear] / (change[:, clear].mean(axis=0) + 1.0), axis=1)
-        used += 1
-    if not used:
-        return None
-    score /= used
-    inner = np.flatnonzero(wall >= _LEAST_WALL_M)
-    peaks = [
-        i
-        for i in inner[:-1]
-        if score[i] >= score[i - 1] and score[i] > score[i + 1] and score[i] > 2 * np.median(score)
-    ]
-    return float(wall[max(peaks, key=lambda i: score[i])]) if peaks else None
-
-
-def _turned(profile: Array) -> tuple[Array, NDArray[np.int64]]:
-    """A closed surface from (radius, height) points that begin and end on the axis."""
-    keep = np.concatenate([[True], np.linalg.norm(np.diff(profile, axis=0), axis=1) > 1e-7])
-    profile = profile[keep]
-    angle = np.linspace(0, 2 * np.pi, SECTIONS, endpoint=False)
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    inner = profile[1:-1]
-    body = np.concatenate(
-        [
-            np.column_stack([r * ring, np.full(SECTIONS, h)])
-            for r, h in np.maximum(inner, [1e-6, -np.inf])
-        ]
-    )
-    vertices = np.vstack([[0, 0, profile[0, 1]], body, [0, 0, profile[-1, 1]]])
-    here = np.arange(SECTIONS)
-    following = (here + 1) % SECTIONS
-    faces = [np.stack([np.zeros(SECTIONS, int), following + 1, here + 1], axis=1)]
-    for k in range(len(inner) - 1):
-        a, b = 1 + k * SECTIONS, 1 + (k + 1) * SECTIONS
-        faces.append(np.stack([a + here, a + following, b + following], axis=1))
-        faces.append(np.stack([a + here, b + following, b + here], axis=1))
-    last, end = 1 + (len(inner) - 1) * SECTIONS, len(vertices) - 1
-    faces.append(np.stack([last + here, last + following, np.full(SECTIONS, end)], axis=1))
-    return vertices, np.concatenate(faces).astype(np.int64)

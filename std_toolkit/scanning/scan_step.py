@@ -17,6 +17,7 @@ from std_toolkit.log import logger
 from std_toolkit.scanning import photos as photo_files
 from std_toolkit.scanning.bake import bake_texture
 from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine, DepthMap
+from std_toolkit.scanning.glass_outlines import find_vessel
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks import volume_of_masks
 from std_toolkit.scanning.model_frame import find_symmetry, model_frame, write_symmetry
@@ -24,7 +25,8 @@ from std_toolkit.scanning.object_masks import object_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.posed_photos import PosedPhotos, Scan
-from std_toolkit.scanning.revolve import OutlineView, fit_revolution
+from std_toolkit.scanning.revolve import fit_revolution
+from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
 from std_toolkit.scanning.underside import flatten_unseen
@@ -66,10 +68,15 @@ def scan(options: ScanOptions) -> Scan:
     inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
     posed = _poses(options, found, stages, work, inputs)
     lap("poses")
-    views = object_masks(options, posed, stages, threads)
+    vessel: RevolvedSurface | None = None
+    if options.revolve and posed.on_table and not (options.masks or options.pick or options.box):
+        vessel, views = find_vessel(posed.views, posed.corners, threads=threads)
+    else:
+        views = object_masks(options, posed, stages, threads)
+        vessel = _vessel_of_masks(views, posed) if options.revolve else None
     lap("masks")
-    if options.revolve:
-        vertices, faces, support = _revolved(views, posed)
+    if vessel is not None:
+        vertices, faces, support = _revolved(vessel, posed)
     else:
         vertices, faces, support = _fused(options, posed, views, engine, stages, threads, lap)
     lap("surface")
@@ -242,17 +249,21 @@ def _fused(
     return vertices, faces, _at(fused.support, grid, vertices[faces].mean(axis=1))
 
 
-def _revolved(
-    views: Sequence[View], posed: PosedPhotos
-) -> tuple[Array, NDArray[np.int64], NDArray[np.float32]]:
-    """Vertices and faces of the surface of revolution that fits the outlines; no depth supports it.
+def _vessel_of_masks(views: Sequence[View], posed: PosedPhotos) -> RevolvedSurface:
+    """The surface of revolution that fits the outlines of masks.
 
     Raises:
         ToolkitError: without a board, or the object is no surface of revolution.
     """
     if not posed.on_table:
         raise ToolkitError("needs the board, which tells what is upright", field="--revolve")
-    found = fit_revolution([OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views])
+    return fit_revolution([OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views])
+
+
+def _revolved(
+    found: RevolvedSurface, posed: PosedPhotos
+) -> tuple[Array, NDArray[np.int64], NDArray[np.float32]]:
+    """Vertices and faces of a surface of revolution; no depth supports it."""
     posed.facts["outline residual"] = f"{found.outline_px:.2f} px"
     posed.facts["outline left out"] = f"{100 * found.outside:.1f} %"
     posed.facts["deviation of the radii"] = f"{1000 * float(np.median(found.deviation_m)):.2f} mm"

@@ -31,6 +31,9 @@ _AT_REST = 0.6
 _RINGS, _RING, _CONTINUED, _CONTINUED_SHARE = 16, 4, 20.0, 0.25
 # The continued table in parts of the brightness of the known one, and its deviation in hue.
 _DARKEST, _BRIGHTEST, _OTHER_HUE = 0.4, 1.15, 10.0
+# Margin of the table around the board, and of the far one that is compared coarsely, in sizes of
+# the board.
+_NEAR, _FAR = 0.35, 3.0
 # Sine of the angle below which the table is seen too flat to compare.
 _FLATTEST = 0.12
 
@@ -71,6 +74,21 @@ class Comparison:
     clear: Mask
     different: Mask
     known: Mask
+
+
+def model_tables(views: Sequence[View], corners: Array) -> list[TableModel]:
+    """The table near the board and, if it is at rest, far around it, as low photos show it.
+
+    Args:
+        views: photos.
+        corners: (M, 3) corners of the board, world.
+    """
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    size = float((high - low).max())
+    low, high = low - _NEAR * size, high + _NEAR * size
+    tables = [model_table(views, low, high, corners)]
+    far = model_table(views, low - _FAR * size, high + _FAR * size, corners)
+    return [*tables, far] if is_table(far) else tables
 
 
 def model_table(views: Sequence[View], low: Array, high: Array, corners: Array) -> TableModel:
@@ -216,16 +234,31 @@ def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
         tables: of `model_table` over all photos; where several know a place, the first counts.
         index: index of the photo among them.
     """
-    first, *others = (_compare(view, table, index) for table in tables)
-    for c in others:
-        new = c.known & ~first.known
-        first = Comparison(
-            first.clear | (c.clear & new), first.different | (c.different & new), first.known | new
-        )
+    off = deviation(view, tables, index)
+    known = np.isfinite(off)
+    clear = known & (off < 1)
+    clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    return Comparison(clear, known & (off > 2), known)
+
+
+def deviation(view: View, tables: Sequence[TableModel], index: int) -> NDArray[np.float32]:
+    """(H, W) difference of a photo from the table, in parts of the table's width.
+
+    It is 0 for any colour that the table has within about a pixel, and NaN where no table is
+    known.
+
+    Args:
+        view: the photo.
+        tables: of `model_table` over all photos; where several know a place, the first counts.
+        index: index of the photo among them.
+    """
+    first, *others = (_deviation(view, table, index) for table in tables)
+    for off in others:
+        first = np.where(np.isfinite(first), first, off)
     return first
 
 
-def _compare(view: View, table: TableModel, index: int) -> Comparison:
+def _deviation(view: View, table: TableModel, index: int) -> NDArray[np.float32]:
     h, w = view.image.shape[:2]
     c = view.camera
     u, v = np.meshgrid(np.arange(w), np.arange(h))
@@ -249,6 +282,4 @@ def _compare(view: View, table: TableModel, index: int) -> Comparison:
     known &= steep & (x >= 0) & (y >= 0)
     image = cv2.GaussianBlur(view.image, (0, 0), 0.7).astype(np.float32)
     off = np.maximum(np.maximum(image - brightest, darkest - image), 0).max(axis=-1)
-    clear = known & (off < table.width)
-    clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    return Comparison(clear, known & (off > 2 * table.width), known)
+    return np.where(known, off / table.width, np.nan).astype(np.float32)

@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
+from sensors.render.mitsuba_scene import appearance
 from sensors.simulation.options import TurntableOptions
 from sensors.simulation.turntable import make_turntable, read_turntable_truth, write_truth
 from std_toolkit.errors import ToolkitError
@@ -75,3 +77,21 @@ def test_photos_show_the_board_where_the_truth_says(
         assert np.median(np.linalg.norm(uv - found.uv, axis=1)) < 0.3
         mask = cv2.imread(str(out / "truth/masks" / Path(name).with_suffix(".png")), 0)
         assert 0.01 < (mask > 0).mean() < 0.5
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb"])
+def test_print_on_a_box_keeps_all_pixels_of_its_texture(tmp_path: Path, suffix: str) -> None:
+    lines = np.zeros((2048, 2048, 3), np.uint8)
+    lines[:, ::2] = 255  # every second column: nothing of it is left at half the size
+    box = trimesh.creation.box((0.06, 0.12, 0.04))
+    box.visual = trimesh.visual.TextureVisuals(
+        uv=box.vertices[:, :2] / 0.12 + 0.5,
+        material=trimesh.visual.material.SimpleMaterial(image=Image.fromarray(lines)),
+    )
+    path = tmp_path / f"box.{suffix}"
+    box.export(path)
+    options = TurntableOptions(mesh=path, out=tmp_path / "out", up="y", views=2)
+    look = appearance(write_truth(options).subject())
+    assert look.image.shape == lines.shape
+    assert np.abs(look.image.astype(int) - lines).max() <= 2
+    assert np.ptp(look.uv.reshape(-1, 2), axis=0) == pytest.approx([0.5, 1.0])

@@ -9,7 +9,8 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.revolve import OutlineView, RevolvedSurface, fit_revolution
+from std_toolkit.scanning.revolve import fit_revolution
+from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
 
 CAMERA = Camera(fx=420.0, fy=420.0, cx=159.5, cy=119.5, width=320, height=240)
 # Radius and height in metres, outside then inside: a tumbler with a waist.
