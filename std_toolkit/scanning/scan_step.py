@@ -153,9 +153,9 @@ def _joined(
     posed.warnings.extend(f"{options.labels()[1]}: {w}" for w in over.warnings)
     if a["ambiguous"]:
         posed.warnings.append(
-            "other turns of the object fit the second photos as well, for it is symmetric and has "
-            "no print that both positions show: the underside may be turned. Stick a few small "
-            "marks on its sides and photograph both positions again"
+            "other turns of the object fit the second photos as well, for its shape or print "
+            "repeats: the underside may be turned, unless turns leave the object the same. Stick a "
+            "few small, different marks on its sides and photograph both positions again"
         )
         logger.warning("%s", posed.warnings[-1])
     sides = [(first, SE3.identity()), (second, SE3.from_matrix(a["T"]))]

@@ -39,6 +39,8 @@ _TURNS = 500
 _TOUCHING = 0.75
 # Another motion fits as well if its distance is less than this multiple of the lowest.
 _AS_GOOD, _OTHER_TURN_DEG = 1.25, 15.0
+# The same for motions by features: share of the places of the best that agree with another one.
+_AS_MANY = 0.8
 # Mean overlap of the second outlines and the first surface: below, it is another object.
 _MIN_OVERLAP = 0.85
 
@@ -109,6 +111,7 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
             )
             if _places(p[inliers], _PLACE * longest) >= _MIN_PLACES:
                 T = SE3(found.R, found.t)
+                ambiguous = _print_repeats(T, p, q, inliers, near, _PLACE * longest)
         except ToolkitError:
             pass  # No three pairs agree: the shape decides.
     caster = RayCaster(surface.vertices, surface.faces)
@@ -138,6 +141,24 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
         T_first_second=T, by=by, residual_m=residual, agreeing=agreeing, count=count,
         overlap=overlap, ambiguous=ambiguous, difference_deg=difference,
     )  # fmt: skip
+
+
+def _print_repeats(
+    T: SE3, p: Array, q: Array, inliers: NDArray[np.bool_], near: float, apart: float
+) -> bool:
+    """Whether another turn explains nearly as many places, as where a print is there twice."""
+    p_rest, q_rest = p[~inliers], q[~inliers]
+    if len(p_rest) < _MIN_PLACES:
+        return False
+    try:
+        found, others = ransac_similarity(
+            q_rest, p_rest, threshold_m=near, with_scale=False, max_iterations=2000
+        )
+    except ToolkitError:
+        return False
+    enough = max(_MIN_PLACES, _AS_MANY * _places(p[inliers], apart))
+    turned = _apart(T, SE3(found.R, found.t)) > _OTHER_TURN_DEG
+    return turned and _places(p_rest[others], apart) >= enough
 
 
 def _features(side: Side) -> list[tuple[Array, NDArray[np.uint8]]]:
