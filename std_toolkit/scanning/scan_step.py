@@ -144,9 +144,9 @@ def _joined(
         surfaces = [side_surface(s, options.voxels, threads) for s in (first, second)]
         turn = find_turn(first, surfaces[0], second, surfaces[1])
         return {"T": turn.T_first_second.matrix(), "ambiguous": np.array(turn.ambiguous),
-                "facts": np.array(list(turn.facts().items()))}  # fmt: skip
+                "by_shape": np.array(turn.by == "shape"), "facts": np.array(list(turn.facts().items()))}  # fmt: skip
 
-    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 1"), make)
+    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 2"), make)
     lap("turn")
     posed.facts.update({f"{k} of the flipped": v for k, v in over.facts.items()})
     posed.facts.update({str(k): str(v) for k, v in a["facts"]})
@@ -156,6 +156,12 @@ def _joined(
             "other turns of the object fit the second photos as well, for its shape or print "
             "repeats: the underside may be turned, unless turns leave the object the same. Stick a "
             "few small, different marks on its sides and photograph both positions again"
+        )
+        logger.warning("%s", posed.warnings[-1])
+    elif a["by_shape"]:
+        posed.warnings.append(
+            "too little print is in both folders, so the turn is from shapes alone and inexact: "
+            "stick a few small, different marks on the sides and photograph both positions again"
         )
         logger.warning("%s", posed.warnings[-1])
     sides = [(first, SE3.identity()), (second, SE3.from_matrix(a["T"]))]

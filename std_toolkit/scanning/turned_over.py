@@ -37,8 +37,10 @@ _FEATURES = 600
 _TURNS = 500
 # Part of a surface that the other must touch: the rest was seen from one position only.
 _TOUCHING = 0.75
-# Another motion fits as well if its distance is less than this multiple of the lowest.
-_AS_GOOD, _OTHER_TURN_DEG = 1.25, 15.0
+# Motions by shape whose distance is less than this multiple of the lowest are judged by outlines.
+# Another one fits as well if its outlines overlap by nearly as much: bulges of the hulls take 0.05
+# and more off the overlap of the right turn.
+_NEARLY, _SAME_OVERLAP, _OTHER_TURN_DEG = 2.0, 0.03, 15.0
 # The same for motions by features: share of the places of the best that agree with another one.
 _AS_MANY = 0.8
 # Mean overlap of the second outlines and the first surface: below, it is another object.
@@ -74,7 +76,9 @@ class Turn:
         angle = np.degrees(rotation_angle(self.T_first_second.R))
         found = {
             "turned over by": f"{angle:.1f} degrees, found by {self.by}",
-            "turned over residual": f"{1000 * self.residual_m:.2f} mm",
+            "turned over residual": f"{1000 * self.residual_m:.2f} mm"
+            if np.isfinite(self.residual_m)
+            else "not measured: no surface has depth from both positions",
             "turned over agreement": f"{100 * self.agreeing:.0f} % of {self.count} "
             + ("pairs of features" if self.by == "features" else "points"),
             "turned over outline overlap": f"{self.overlap:.3f}",
@@ -123,7 +127,7 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
         difference = float(np.degrees(rotation_angle(alone.R.T @ T.R)))
     else:
         by = "shape"
-        T, ambiguous = _by_shape(_sampled(other, measured=False), surface, caster)
+        T, ambiguous = _by_shape(_sampled(other, measured=False), surface, caster, second.views)
         T = _refined(T, points, surface, caster, near, p[:0], q[:0])
     off = _distances(T, points, surface, caster)
     residual = float(np.median(off)) if len(off) else float("nan")
@@ -272,20 +276,22 @@ def _refined(
         if len(A) < 6:
             return T
         x = np.linalg.lstsq(A * w[:, None] ** 0.5, -b * w**0.5, rcond=1e-8)[0]
-        R = Rotation.from_rotvec(x[3:]).as_matrix()
+        R = Rotation.from_rotvec(x[3:]).as_matrix().astype(np.float64)
         T = SE3(R, x[:3]) @ T
         scale = max(0.7 * scale, 0.15 * near)
     return T
 
 
-def _by_shape(points: Array, surface: Surface, caster: RayCaster) -> tuple[SE3, bool]:
+def _by_shape(
+    points: Array, surface: Surface, caster: RayCaster, views: Sequence[View]
+) -> tuple[SE3, bool]:
     """The motion that lays one shape on the other, best of many turns; whether others do, too."""
     middle = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     few = points[:250]
     tree = cKDTree(surface.vertices)
     found: list[tuple[float, SE3]] = []
-    for R in Rotation.random(_TURNS, random_state=0).as_matrix():
+    for R in Rotation.random(_TURNS, random_state=0).as_matrix().astype(np.float64):
         T = SE3(R, middle - R @ centre)
         for _ in range(8):
             moved = T @ few
@@ -309,11 +315,17 @@ def _by_shape(points: Array, surface: Surface, caster: RayCaster) -> tuple[SE3, 
         finer.append((float(np.quantile(off, _TOUCHING)), T))
         if len(finer) == 12:
             break
-    finer.sort(key=lambda f: f[0])
-    best, T = finer[0]
+    lowest = min(error for error, _ in finer)
     noise = 1e-3 * float(np.ptp(surface.vertices, axis=0).max())
+    # Hulls bulge differently in both positions, so outlines decide among shapes that nearly fit.
+    judged = sorted(
+        ((_overlap(views, T, surface), T) for e, T in finer if e < _NEARLY * lowest + noise),
+        key=lambda f: -f[0],
+    )
+    best, T = judged[0]
     ambiguous = any(
-        error < _AS_GOOD * best + noise and _apart(T, U) > _OTHER_TURN_DEG for error, U in finer[1:]
+        overlap > best - _SAME_OVERLAP and _apart(T, U) > _OTHER_TURN_DEG
+        for overlap, U in judged[1:]
     )
     return T, ambiguous
 
