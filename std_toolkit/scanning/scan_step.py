@@ -143,8 +143,12 @@ def _joined(
     def make() -> dict[str, Any]:
         surfaces = [side_surface(s, options.voxels, threads) for s in (first, second)]
         turn = find_turn(first, surfaces[0], second, surfaces[1])
-        return {"T": turn.T_first_second.matrix(), "ambiguous": np.array(turn.ambiguous),
-                "by_shape": np.array(turn.by == "shape"), "facts": np.array(list(turn.facts().items()))}  # fmt: skip
+        return {
+            "T": turn.T_first_second.matrix(),
+            "ambiguous": np.array(turn.ambiguous),
+            "by_shape": np.array(turn.by == "shape"),
+            "facts": np.array(list(turn.facts().items())),
+        }
 
     a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 2"), make)
     lap("turn")

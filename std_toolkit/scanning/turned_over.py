@@ -277,7 +277,7 @@ def _refined(
             return T
         x = np.linalg.lstsq(A * w[:, None] ** 0.5, -b * w**0.5, rcond=1e-8)[0]
         R = Rotation.from_rotvec(x[3:]).as_matrix().astype(np.float64)
-        T = SE3(R, x[:3]) @ T
+        T = SE3(R, np.asarray(x[:3], np.float64)) @ T
         scale = max(0.7 * scale, 0.15 * near)
     return T
 
