@@ -91,6 +91,7 @@ def standing(mesh: trimesh.Trimesh, turn: SE3) -> SE3:
     return SE3(np.eye(3), np.array([0.03, -0.02, -low])) @ turn
 
 
+@pytest.mark.slow
 def test_the_turn_is_found_by_features_and_the_underside_is_real(tmp_path: Path) -> None:
     mesh = dented_block()
     T = standing(mesh, OVER)
@@ -110,6 +111,7 @@ def test_the_turn_is_found_by_features_and_the_underside_is_real(tmp_path: Path)
     assert np.median(RayCaster(both.vertices, both.faces).distance(dent)) < 0.001
 
 
+@pytest.mark.slow
 def test_a_plain_block_is_ambiguous_and_another_object_refused(tmp_path: Path) -> None:
     block = trimesh.creation.box((0.08, 0.05, 0.06)).apply_translation([0, 0, 0.03])
     first = side(photos(block, SE3.identity(), plain), tmp_path / "a")
