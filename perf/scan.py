@@ -2,10 +2,12 @@
 
 dino        the ring of 16 photos with known cameras: outline overlap, extent
 mustard     the real mustard bottle among other things, against its YCB mesh
-TURNTABLE   folder of `std-sim turntable`: photos/, board.json and truth mesh, poses not given
+TURNTABLE   folder of `std-sim turntable`: photos/, board.json and truth mesh, poses not given;
+            FIRST+SECOND joins the photos of SECOND (`--flipped`), with the truth mesh of FIRST
 
 Prints one row per scan: accuracy is mesh to truth, completeness truth to mesh, both on what a
-camera saw, after rigid alignment; scale is that of a similarity fitted afterwards.
+camera saw, after rigid alignment; scale is that of a similarity fitted afterwards. "whole" figures
+are of the whole surface, the side that no camera saw included.
 """
 
 from __future__ import annotations
@@ -105,6 +107,8 @@ def seen_points(vertices: Any, faces: Any, views: Any, to_world: np.ndarray) -> 
 
 def compare(scan: Any, truth: Any) -> dict[str, float]:
     """Accuracy and completeness in millimetres, completeness at 2 mm and scale."""
+    import trimesh
+
     from std_toolkit.geometry.ray_caster import RayCaster
 
     points = seen_points(scan.vertices, scan.faces, scan.views, np.eye(4))
@@ -114,13 +118,31 @@ def compare(scan: Any, truth: Any) -> dict[str, float]:
     back = np.linalg.inv(T)
     there = seen_points(truth.vertices, truth.faces, scan.views, back)
     local = there @ back[:3, :3].T + back[:3, 3]
-    complete = RayCaster(scan.vertices, scan.faces).distance(local)
+    caster = RayCaster(scan.vertices, scan.faces)
+    complete = caster.distance(local)
+    every = trimesh.sample.sample_surface(_bare(scan.vertices, scan.faces), _SAMPLES, seed=0)[0]
+    everywhere = RayCaster(truth.vertices, truth.faces).distance(
+        np.asarray(every) @ T[:3, :3].T + T[:3, 3]
+    )
+    all_of_it = trimesh.sample.sample_surface(_bare(truth.vertices, truth.faces), _SAMPLES, seed=0)[
+        0
+    ]
+    whole = caster.distance(np.asarray(all_of_it) @ back[:3, :3].T + back[:3, 3])
     return {
         "median mm": 1000 * float(np.median(accuracy)),
         "95 % mm": 1000 * float(np.percentile(accuracy, 95)),
         "complete 2 mm %": 100 * float((complete < 0.002).mean()),
+        "whole median mm": 1000 * float(np.median(everywhere)),
+        "whole 95 % mm": 1000 * float(np.percentile(everywhere, 95)),
+        "whole complete 2 mm %": 100 * float((whole < 0.002).mean()),
         "scale %": 100 * (1 / scale - 1),
     }
+
+
+def _bare(vertices: Any, faces: Any) -> Any:
+    import trimesh
+
+    return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def measured(name: str, options: Any, truth: Any) -> Any:
@@ -180,15 +202,24 @@ def mustard(work: Path) -> None:
     measured("mustard bottle, real", options, load_mesh(meshes[0]))
 
 
-def turntable(folder: Path, work: Path) -> None:
+def turntable(what: str, work: Path) -> None:
     from std_toolkit.geometry.mesh import load_mesh
     from std_toolkit.scanning.options import ScanOptions
 
+    first, _, second = what.partition("+")
+    folder = Path(first)
     truth = next(p for s in ("obj", "ply", "glb") for p in sorted(folder.glob(f"truth/*.{s}")))
+    name = folder.name + (f"+{Path(second).name}" if second else "")
     options = ScanOptions(
-        photos=folder / "photos", out=work / folder.name, board=folder / "board.json"
+        photos=folder / "photos",
+        flipped=Path(second) / "photos" if second else None,
+        out=work / name,
+        board=folder / "board.json",
     )
-    measured(folder.name, options, load_mesh(truth))
+    done = measured(name, options, load_mesh(truth))
+    for key, value in done.facts.items():
+        if key.startswith("turned over"):
+            print(f"{'':24} {key}: {value}")
 
 
 def main() -> None:
@@ -201,7 +232,7 @@ def main() -> None:
         if what in ("dino", "mustard"):
             {"dino": dino, "mustard": mustard}[what](work)
         else:
-            turntable(Path(what), work)
+            turntable(what, work)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from std_toolkit.cli.command import Command, Program
+from std_toolkit.cli.command_options import UsageError
 
 if TYPE_CHECKING:
     from std_toolkit.scanning.options import ScanOptions
@@ -60,6 +61,9 @@ def make_board(command: BoardCommand) -> int:
 def with_command(words: list[str]) -> list[str]:
     """A folder or video as the first word is that of the photos, unless it is called as a command.
 
+    Raises:
+        UsageError: it could be both.
+
     >>> with_command([".", "--out", "cup"])
     ['photos', '.', '--out', 'cup']
     """
@@ -67,8 +71,15 @@ def with_command(words: list[str]) -> list[str]:
     named = {command.name for command in PROGRAM.commands}
     if place is None or not Path(words[place]).exists():
         return words
-    if words[place] in named and any(Path(word).is_dir() for word in words[place + 1 : place + 2]):
-        return words
+    following = [Path(word) for word in words[place + 1 : place + 3]]
+    if words[place] in named and following and following[0].is_dir():
+        same = following[0].resolve() == Path(words[place]).resolve()
+        if same or (len(following) == 2 and following[1].exists()):
+            return words
+        # The photos of this folder would be left out unnoticed.
+        raise UsageError(
+            f"{words[place]} is a folder here and a command; write ./{words[place]} for the folder"
+        )
     return [*words[:place], "photos", *words[place:]]
 
 

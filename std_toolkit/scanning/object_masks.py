@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -151,3 +152,50 @@ def _draw_candidates(path: Path, views: Sequence[View], candidates: Sequence[Any
                         (255, 60, 0), 2)  # fmt: skip
     cv2.putText(image, view.name, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 60, 0), 2)
     write_color(path, image)
+
+
+def both_positions(options: ScanOptions) -> tuple[ScanOptions, ScanOptions]:
+    """Options for the photos of each of two folders: `pick`, `box` and `masks` are divided.
+
+    Raises:
+        ToolkitError: a photo that both folders have is named without its folder.
+    """
+    assert options.flipped is not None
+    folders, labels = (options.photos, options.flipped), options.labels()
+    chosen: list[dict[str, Any]] = [{}, {}]
+    for option in ("pick", "box"):
+        text = getattr(options, option)
+        if text is None:
+            continue
+        name, _, numbers = text.rpartition(":")
+        folder, _, photo = name.rpartition("/")
+        within = [
+            n for n in range(2)
+            if (folder in (labels[n], folders[n].name) if folder else _has(folders[n], photo))
+        ]  # fmt: skip
+        if len(within) != 1:
+            raise ToolkitError(
+                "both folders have this photo" if within else "no folder has this photo",
+                field=f"--{option}", value=text, hint=f"such as {labels[1]}/{photo}:{numbers}",
+            )  # fmt: skip
+        chosen[within[0]][option] = f"{photo}:{numbers}"
+    parts = []
+    for n in range(2):
+        masks = None if options.masks is None else options.masks / labels[n]
+        if masks is not None and not masks.is_dir():
+            masks = None
+        parts.append(replace(options, photos=folders[n], flipped=None, masks=masks,
+                             pick=chosen[n].get("pick"), box=chosen[n].get("box")))  # fmt: skip
+    if options.masks is not None and parts[0].masks is None and parts[1].masks is None:
+        raise ToolkitError(
+            "no such folder of masks", path=options.masks / labels[0], field="--masks",
+            hint=f"with two folders of photos, masks are in subfolders {labels[0]} and {labels[1]}",
+        )  # fmt: skip
+    return parts[0], parts[1]
+
+
+def _has(folder: Path, photo: str) -> bool:
+    """Whether a folder has a photo of a file name or stem; a video has frames of any name."""
+    if not folder.is_dir():
+        return True
+    return any(photo in (p.name, p.stem) for p in folder.iterdir())

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import msgspec
 
-from std_toolkit.errors import check_options
+from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import KnownCameras
 
@@ -25,6 +25,8 @@ class ScanOptions:
 
     photos: Path = field(metadata={"option": ""})
     """folder of the photos, or a video, of which about 60 sharp frames are taken"""
+    flipped: Path | None = field(default=None, metadata={"option": ""})
+    """folder or video of the same object turned over on the same board"""
     out: Path = field(metadata={"option": "out"})
     """folder for the model; its name is the name of the model"""
     board: Path | None = None
@@ -32,11 +34,12 @@ class ScanOptions:
     intrinsics: str | None = None
     """intrinsics file, or fx,fy,cx,cy in pixels (default: calibrated from the board)"""
     masks: Path | None = None
-    """folder of your own masks, PNG named as the photos; photos without one are segmented"""
+    """folder of your own masks, PNG named as the photos; photos without one are segmented. With two
+    folders of photos, those of each are in a subfolder of its name"""
     pick: str | None = None
-    """PHOTO:x,y a pixel of the object, where several stand on the board"""
+    """[FOLDER/]PHOTO:x,y a pixel of the object, where several stand on the board"""
     box: str | None = None
-    """PHOTO:x0,y0,x1,y1 a box around the object, where several stand on the board"""
+    """[FOLDER/]PHOTO:x0,y0,x1,y1 a box around the object, where several stand on the board"""
     revolve: bool = False
     """fit a surface of revolution to the outlines: for unsprayed vessels of glass or metal, without
     handles"""
@@ -61,3 +64,24 @@ class ScanOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.flipped is None:
+            return
+        if self.photos.resolve() == self.flipped.resolve():
+            raise ToolkitError(
+                "the second folder is the first", value=self.flipped,
+                hint="give the photos of the object turned over",
+            )  # fmt: skip
+        for option, given in (("--revolve", self.revolve), ("--cameras", self.known.cameras)):
+            if given:
+                raise ToolkitError(
+                    "takes one folder of photos", field=option,
+                    hint="leave the second folder out",
+                )  # fmt: skip
+
+    def labels(self) -> tuple[str, str]:
+        """Names of both folders of photos, different ones."""
+        assert self.flipped is not None
+        first, second = self.photos.resolve(), self.flipped.resolve()
+        if first.name != second.name:
+            return first.name, second.name
+        return f"{first.parent.name}/{first.name}", f"{second.parent.name}/{second.name}"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 
+from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.bake import vertex_normals
 from std_toolkit.scanning.depth_maps import hull_depth
@@ -28,7 +29,7 @@ def fit_outlines(
     views: Sequence[View],
     support: NDArray[np.floating],
     *,
-    floor: float | None = None,
+    floors: Sequence[SE3] = (),
     rounds: int = 3,
     threads: int = 1,
 ) -> Array:
@@ -39,7 +40,7 @@ def fit_outlines(
         faces: (F, 3) of a closed mesh.
         views: photos with masks.
         support: (V,) weight of the depth measurements of each vertex; they hold it in its place.
-        floor: z of the table, below which no vertex is moved; None for none.
+        floors: motions whose z = 0 is a table, below which no vertex is moved.
         rounds: number of repetitions.
         threads: number of threads.
     """
@@ -64,8 +65,9 @@ def fit_outlines(
         # An outline is a measurement of its photo, as depth is: both count by their weights.
         move = 0.8 * total / np.maximum(weight + support, 0.05)
         vertices = vertices + move[:, None] * normals
-        if floor is not None:
-            vertices[:, 2] = np.maximum(vertices[:, 2], floor)
+        for T in floors:
+            up = T.R[:, 2]
+            vertices = vertices - np.minimum((vertices - T.t) @ up, 0)[:, None] * up
     return vertices
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,27 +16,27 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.log import logger
 from std_toolkit.scanning import photos as photo_files
 from std_toolkit.scanning.bake import bake_texture
-from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine, DepthMap
+from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine
 from std_toolkit.scanning.glass_outlines import find_vessel
-from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.masks import volume_of_masks
+from std_toolkit.scanning.measured_surface import (
+    Side,
+    fused_surface,
+    measure_side,
+    side_surface,
+)
 from std_toolkit.scanning.model_frame import find_symmetry, model_frame, write_symmetry
-from std_toolkit.scanning.object_masks import object_masks
+from std_toolkit.scanning.object_masks import both_positions, object_masks
 from std_toolkit.scanning.options import ScanOptions
-from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.posed_photos import PosedPhotos, Scan
 from std_toolkit.scanning.revolve import fit_revolution
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scanning.stages import Stages
-from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
-from std_toolkit.scanning.underside import flatten_unseen
+from std_toolkit.scanning.turned_over import find_turn
 from std_toolkit.scanning.video import is_video, sample_video
-from std_toolkit.scanning.views import Array, Grid, View
+from std_toolkit.scanning.views import Array, View
 from std_toolkit.scanning.write_model import write_model
 from std_toolkit.scene.document import digest_file, digest_of
 
-# Depth below the hull that is searched, as a share of the longest side.
-_DEEPEST = 0.3
 # Support of a face below which its place is a guess.
 _SUPPORTED = 0.3
 
@@ -63,22 +63,24 @@ def scan(options: ScanOptions) -> Scan:
         logger.info("%s: %.0f s", name, seconds[name])
 
     engine = ENGINES.get(options.depth)
-    folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
-    found = photo_files.find_photos(folder, work, longest=options.image_size)
-    inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
-    posed = _poses(options, found, stages, work, inputs)
-    lap("poses")
     vessel: RevolvedSurface | None = None
-    if options.revolve and posed.on_table and not (options.masks or options.pick or options.box):
-        vessel, views = find_vessel(posed.views, posed.corners, threads=threads)
+    sides: list[tuple[Side, SE3]] = []
+    if options.flipped is not None:
+        posed, views, sides = _joined(options, engine, work, threads, lap)
+    elif options.revolve:
+        posed = _posed(options, stages, work, lap)
+        vessel, views = _vessel(options, posed, stages, threads)
+        lap("masks")
     else:
-        views = object_masks(options, posed, stages, threads)
-        vessel = _vessel_of_masks(views, posed) if options.revolve else None
-    lap("masks")
+        posed, views = _prepared(options, stages, work, threads, lap)
     if vessel is not None:
         vertices, faces, support = _revolved(vessel, posed)
     else:
-        vertices, faces, support = _fused(options, posed, views, engine, stages, threads, lap)
+        if not sides:
+            side = measure_side(options, posed, views, engine, stages, threads, lap)
+            sides = [(side, SE3.identity())]
+        found = fused_surface(options, sides, posed.facts, threads)
+        vertices, faces, support = found.vertices, found.faces, found.support
     lap("surface")
     texture = bake_texture(vertices, faces, views, size=options.texture, threads=threads)
     lap("texture")
@@ -103,6 +105,87 @@ def scan(options: ScanOptions) -> Scan:
     write_report(options.out, result)
     lap("files")
     return result
+
+
+def _posed(
+    options: ScanOptions, stages: Stages, work: Path, lap: Callable[[str], None]
+) -> PosedPhotos:
+    """Photos of one position with poses."""
+    folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
+    found = photo_files.find_photos(folder, work, longest=options.image_size)
+    inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
+    posed = _poses(options, found, stages, work, inputs)
+    lap("poses")
+    return posed
+
+
+def _prepared(
+    options: ScanOptions, stages: Stages, work: Path, threads: int, lap: Callable[[str], None]
+) -> tuple[PosedPhotos, list[View]]:
+    """Photos of one position with poses, and with masks."""
+    posed = _posed(options, stages, work, lap)
+    views = object_masks(options, posed, stages, threads)
+    lap("masks")
+    return posed, views
+
+
+def _joined(
+    options: ScanOptions, engine: DepthEngine, work: Path, threads: int, lap: Callable[[str], None]
+) -> tuple[PosedPhotos, list[View], list[tuple[Side, SE3]]]:
+    """Photos of both positions, each measured on its own, and the motion between them.
+
+    Returns:
+        The first photos with the facts of both, all views in their world with names that tell the
+        folder, and both sides with the motions into it.
+    """
+    both = []
+    for part, label, name in zip(
+        both_positions(options), options.labels(), ("", "flipped"), strict=True
+    ):
+        folder = work / name
+        folder.mkdir(exist_ok=True)
+        stages = Stages(folder)
+
+        def told(stage: str, name: str = name) -> None:
+            lap(f"{stage} of the flipped" if name else stage)
+
+        posed, views = _prepared(part, stages, folder, threads, told)
+        side = measure_side(part, posed, views, engine, stages, threads, told)
+        named = [replace(v, name=f"{label}/{v.name}") for v in side.views]
+        both.append((posed, replace(side, views=named)))
+    (posed, first), (over, second) = both
+
+    def make() -> dict[str, Any]:
+        surfaces = [side_surface(s, options.voxels, threads) for s in (first, second)]
+        turn = find_turn(first, surfaces[0], second, surfaces[1])
+        return {
+            "T": turn.T_first_second.matrix(),
+            "ambiguous": np.array(turn.ambiguous),
+            "by_shape": np.array(turn.by == "shape"),
+            "facts": np.array(list(turn.facts().items())),
+        }
+
+    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 2"), make)
+    lap("turn")
+    posed.facts.update({f"{k} of the flipped": v for k, v in over.facts.items()})
+    posed.facts.update({str(k): str(v) for k, v in a["facts"]})
+    posed.warnings.extend(f"{options.labels()[1]}: {w}" for w in over.warnings)
+    if a["ambiguous"]:
+        posed.warnings.append(
+            "other turns of the object fit the second photos as well, for its shape or print "
+            "repeats: the underside may be turned, unless turns leave the object the same. Stick a "
+            "few small, different marks on its sides and photograph both positions again"
+        )
+        logger.warning("%s", posed.warnings[-1])
+    elif a["by_shape"]:
+        posed.warnings.append(
+            "too little print is in both folders, so the turn is from shapes alone and inexact: "
+            "stick a few small, different marks on the sides and photograph both positions again"
+        )
+        logger.warning("%s", posed.warnings[-1])
+    sides = [(first, SE3.identity()), (second, SE3.from_matrix(a["T"]))]
+    views = [replace(v, T_world_cam=T @ v.T_world_cam) for side, T in sides for v in side.views]
+    return posed, views, sides
 
 
 def _poses(
@@ -212,52 +295,21 @@ def _undistorted(
     }
 
 
-def _fused(
-    options: ScanOptions,
-    posed: PosedPhotos,
-    views: Sequence[View],
-    engine: DepthEngine,
-    stages: Stages,
-    threads: int,
-    lap: Callable[[str], None],
-) -> tuple[Array, NDArray[np.int64], NDArray[np.float32]]:
-    """Vertices, faces and the support of the faces by depth maps."""
-    low, high = volume_of_masks(views)
-    if posed.on_table:
-        low[2] = 0.0
-    longest = float((high - low).max())
-    grid = Grid.around(low, high, longest / options.voxels)
-    hull = _hull(views, grid, posed.on_table, threads)
-    lap("hull")
-    key = digest_of(
-        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth
-    )
-    maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
-    lap("depth maps")
-    target = (low + high) / 2
-    weights = agreeing(views, maps, target, threads=threads)
-    fused = fuse(views, maps, weights, hull, grid, threads=threads)
-    vertices, faces = closed_mesh(fused.field, grid, options.faces)
-    vertices = fit_outlines(
-        vertices, faces, views, _at(fused.support, grid, vertices),
-        floor=0.0 if posed.on_table else None, threads=threads,
-    )  # fmt: skip
-    if not posed.on_table:
-        vertices, flattened = flatten_unseen(vertices, faces, views)
-        if flattened:
-            posed.facts["closed by a plane"] = f"{100 * flattened:.0f} % of the surface, unseen"
-    return vertices, faces, _at(fused.support, grid, vertices[faces].mean(axis=1))
-
-
-def _vessel_of_masks(views: Sequence[View], posed: PosedPhotos) -> RevolvedSurface:
-    """The surface of revolution that fits the outlines of masks.
+def _vessel(
+    options: ScanOptions, posed: PosedPhotos, stages: Stages, threads: int
+) -> tuple[RevolvedSurface, list[View]]:
+    """The surface of revolution of an unsprayed vessel, and the views with its masks.
 
     Raises:
         ToolkitError: without a board, or the object is no surface of revolution.
     """
+    if posed.on_table and not (options.masks or options.pick or options.box):
+        return find_vessel(posed.views, posed.corners, threads=threads)
+    views = object_masks(options, posed, stages, threads)
     if not posed.on_table:
         raise ToolkitError("needs the board, which tells what is upright", field="--revolve")
-    return fit_revolution([OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views])
+    outlines = [OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views]
+    return fit_revolution(outlines), views
 
 
 def _revolved(
@@ -271,68 +323,3 @@ def _revolved(
     posed.warnings.extend(found.warnings)
     vertices, faces = found.mesh()
     return vertices, faces, np.zeros(len(faces), np.float32)
-
-
-def _mask_digest(views: Sequence[View]) -> str:
-    return digest_of([np.packbits(v.possible).tobytes().hex()[::7] for v in views],
-                     [int(v.shown.sum()) for v in views])  # fmt: skip
-
-
-def _hull(views: Sequence[View], grid: Grid, on_table: bool, threads: int) -> NDArray[np.float32]:
-    field = hull_field(views, grid, allowed=len(views) // 40, threads=threads)
-    if on_table:
-        z = grid.origin[2] + np.arange(grid.shape[0]) * grid.step
-        field = np.maximum(field, -z[:, None, None]).astype(np.float32)
-    inside = largest_component(field < 0)
-    if not inside.any():
-        raise ToolkitError(
-            "the masks of the photos contradict each other: they leave no volume",
-            hint="look at the masks in the report and correct them with --masks; did the object "
-            "move between photos?",
-        )
-    return np.where(inside | (field >= 0), field, np.float32(grid.step))
-
-
-def _depth(
-    engine: DepthEngine,
-    views: Sequence[View],
-    hull: NDArray[np.float32],
-    grid: Grid,
-    longest: float,
-    neighbours: int,
-    stages: Stages,
-    key: str,
-    threads: int,
-) -> list[DepthMap | None]:
-    surface = surface_of(hull, grid)
-
-    def make() -> dict[str, Any]:
-        maps = engine(
-            views, surface, deepest=_DEEPEST * longest, neighbours=neighbours, threads=threads
-        )
-        out: dict[str, Any] = {}
-        for i, m in enumerate(maps):
-            if m is not None:
-                out[f"at{i}"] = np.array([m.x, m.y])
-                for name in ("depth", "normal", "cost", "contrast"):
-                    out[f"{name}{i}"] = getattr(m, name)
-        return out
-
-    a = stages.arrays("depth", key, make)
-    return [
-        DepthMap(
-            int(a[f"at{i}"][0]), int(a[f"at{i}"][1]), a[f"depth{i}"], a[f"normal{i}"],
-            a[f"cost{i}"], a[f"contrast{i}"],
-        )
-        if f"at{i}" in a else None
-        for i in range(len(views))
-    ]  # fmt: skip
-
-
-def _at(values: NDArray[np.float32], grid: Grid, points: Array) -> NDArray[np.float32]:
-    """Largest value of the voxels around points (N, 3)."""
-    from scipy.ndimage import map_coordinates, maximum_filter
-
-    index = ((points - np.asarray(grid.origin)) / grid.step)[:, ::-1].T
-    wide = maximum_filter(values, 3)
-    return np.asarray(map_coordinates(wide, index, order=1, mode="nearest"), np.float32)

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
+from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.scanning.bake import Texture
 from std_toolkit.scanning.hull import hull_field, surface_of
@@ -62,7 +63,8 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
     assert is_closed(fitted, faces)
     held = fit_outlines(vertices, faces, views, np.full(len(vertices), 99.0))
     assert off(held) > 0.8 * off(vertices)
-    cut = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), floor=0.03)
+    floor = SE3(np.eye(3), np.array([0, 0, 0.03]))
+    cut = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), floors=[floor])
     assert cut[:, 2].min() == 0.03
 
 

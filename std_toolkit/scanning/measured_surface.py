@@ -1,0 +1,213 @@
+"""Surface of the object from masked photos: hull, depth maps, fusion, outlines.
+
+One or two sides: the object as it stood first, and turned over. Each side has depth maps of its
+own photos. The surface is fused from both in the world of the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3
+from std_toolkit.scanning.depth_maps import DepthEngine, DepthMap
+from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
+from std_toolkit.scanning.masks import volume_of_masks
+from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.polish import fit_outlines
+from std_toolkit.scanning.posed_photos import PosedPhotos
+from std_toolkit.scanning.stages import Stages
+from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
+from std_toolkit.scanning.underside import flatten_unseen
+from std_toolkit.scanning.views import Array, Grid, View
+from std_toolkit.scene.document import digest_of
+
+# Depth below the hull that is searched, as a share of the longest side.
+_DEEPEST = 0.3
+# Voxels of the surface of one side to which the other is registered, as a share of all.
+_COARSE = 0.6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Side:
+    """Photos of the object in one position.
+
+    Attributes:
+        views: photos with masks, in the world of this position.
+        maps: their depth maps.
+        on_table: whether the table at z = 0 of this world bounds the object.
+        digest: of the photos and all that the depth maps depend on.
+    """
+
+    views: list[View]
+    maps: list[DepthMap | None]
+    on_table: bool
+    digest: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A closed surface.
+
+    Attributes:
+        vertices: (V, 3) metres, world.
+        faces: (F, 3).
+        support: (F,) weight of the depth measurements of each face.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    support: NDArray[np.float32]
+
+
+def measure_side(
+    options: ScanOptions,
+    posed: PosedPhotos,
+    views: Sequence[View],
+    engine: DepthEngine,
+    stages: Stages,
+    threads: int,
+    lap: Callable[[str], None],
+) -> Side:
+    """Depth maps of the photos of one position."""
+    grid, longest = _grid(views, options.voxels, posed.on_table)
+    floors = [SE3.identity()] if posed.on_table else []
+    hull = _hull(views, grid, floors, threads)
+    lap("hull")
+    key = digest_of(
+        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth
+    )
+    maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
+    lap("depth maps")
+    return Side(views=list(views), maps=maps, on_table=posed.on_table, digest=key)
+
+
+def side_surface(side: Side, voxels: int, threads: int) -> Surface:
+    """Coarse surface of one side in its own world, to register the other to."""
+    grid, _ = _grid(side.views, max(40, round(_COARSE * voxels)), side.on_table)
+    hull = _hull(side.views, grid, [SE3.identity()] if side.on_table else [], threads)
+    target = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
+    weights = agreeing(side.views, side.maps, target, threads=threads)
+    fused = fuse(side.views, side.maps, weights, hull, grid, threads=threads)
+    vertices, faces = closed_mesh(fused.field, grid, 8000)
+    support = _at(fused.support, grid, vertices[faces].mean(axis=1))
+    return Surface(vertices=vertices, faces=faces, support=support)
+
+
+def fused_surface(
+    options: ScanOptions, sides: Sequence[tuple[Side, SE3]], facts: dict[str, Any], threads: int
+) -> Surface:
+    """Surface of all photos.
+
+    Args:
+        options: of the scan.
+        sides: each with the motion from its world into that of the first.
+        facts: receives the share that was closed by a plane.
+        threads: number of threads.
+    """
+    views = [replace(v, T_world_cam=T @ v.T_world_cam) for side, T in sides for v in side.views]
+    maps = [m for side, _ in sides for m in side.maps]
+    on_table = sides[0][0].on_table
+    grid, _ = _grid(views, options.voxels, on_table)
+    floors = [T for side, T in sides if side.on_table]
+    hull = _hull(views, grid, floors, threads)
+    middle = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
+    weights = agreeing(views, maps, middle, threads=threads)
+    fused = fuse(views, maps, weights, hull, grid, threads=threads)
+    vertices, faces = closed_mesh(fused.field, grid, options.faces)
+    vertices = fit_outlines(
+        vertices, faces, views, _at(fused.support, grid, vertices), floors=floors, threads=threads
+    )
+    if not on_table:
+        vertices, flattened = flatten_unseen(vertices, faces, views)
+        if flattened:
+            facts["closed by a plane"] = f"{100 * flattened:.0f} % of the surface, unseen"
+    support = _at(fused.support, grid, vertices[faces].mean(axis=1))
+    return Surface(vertices=vertices, faces=faces, support=support)
+
+
+def _grid(views: Sequence[View], voxels: int, on_table: bool) -> tuple[Grid, float]:
+    """Grid around the object, and its longest side in metres."""
+    low, high = volume_of_masks(views)
+    if on_table:
+        low[2] = 0.0
+    longest = float((high - low).max())
+    return Grid.around(low, high, longest / voxels), longest
+
+
+def _mask_digest(views: Sequence[View]) -> str:
+    return digest_of([np.packbits(v.possible).tobytes().hex()[::7] for v in views],
+                     [int(v.shown.sum()) for v in views])  # fmt: skip
+
+
+def _hull(
+    views: Sequence[View], grid: Grid, floors: Sequence[SE3], threads: int
+) -> NDArray[np.float32]:
+    """Signed distance to the hull above all tables, each the plane z = 0 of a moved world."""
+    field = hull_field(views, grid, allowed=len(views) // 40, threads=threads)
+    axes = [
+        o + np.arange(n) * grid.step for o, n in zip(grid.origin, grid.shape[::-1], strict=True)
+    ]
+    for T in floors:
+        up = T.R[:, 2]
+        x, y, z = (a * n for a, n in zip(axes, up, strict=True))
+        height = z[:, None, None] + y[None, :, None] + x[None, None, :] - T.t @ up
+        field = np.maximum(field, -height).astype(np.float32)
+    inside = largest_component(field < 0)
+    if not inside.any():
+        raise ToolkitError(
+            "the masks of the photos contradict each other: they leave no volume",
+            hint="look at the masks in the report and correct them with --masks; did the object "
+            "move between photos?",
+        )
+    return np.where(inside | (field >= 0), field, np.float32(grid.step))
+
+
+def _depth(
+    engine: DepthEngine,
+    views: Sequence[View],
+    hull: NDArray[np.float32],
+    grid: Grid,
+    longest: float,
+    neighbours: int,
+    stages: Stages,
+    key: str,
+    threads: int,
+) -> list[DepthMap | None]:
+    surface = surface_of(hull, grid)
+
+    def make() -> dict[str, Any]:
+        maps = engine(
+            views, surface, deepest=_DEEPEST * longest, neighbours=neighbours, threads=threads
+        )
+        out: dict[str, Any] = {}
+        for i, m in enumerate(maps):
+            if m is not None:
+                out[f"at{i}"] = np.array([m.x, m.y])
+                for name in ("depth", "normal", "cost", "contrast"):
+                    out[f"{name}{i}"] = getattr(m, name)
+        return out
+
+    a = stages.arrays("depth", key, make)
+    return [
+        DepthMap(
+            int(a[f"at{i}"][0]), int(a[f"at{i}"][1]), a[f"depth{i}"], a[f"normal{i}"],
+            a[f"cost{i}"], a[f"contrast{i}"],
+        )
+        if f"at{i}" in a else None
+        for i in range(len(views))
+    ]  # fmt: skip
+
+
+def _at(values: NDArray[np.float32], grid: Grid, points: Array) -> NDArray[np.float32]:
+    """Largest value of the voxels around points (N, 3)."""
+    from scipy.ndimage import map_coordinates, maximum_filter
+
+    index = ((points - np.asarray(grid.origin)) / grid.step)[:, ::-1].T
+    wide = maximum_filter(values, 3)
+    return np.asarray(map_coordinates(wide, index, order=1, mode="nearest"), np.float32)

@@ -1,0 +1,44 @@
+"""Turns that fit equally well: a plain block by its outlines, a print that is there twice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip("numba")
+pytest.importorskip("manifold3d")
+
+from std_toolkit.geometry import SE3, so3_exp
+from std_toolkit.scanning.measured_surface import Side, side_surface
+from std_toolkit.scanning.turned_over import _print_repeats, find_turn
+from std_toolkit.scanning.views import View
+from tests.std_toolkit.scanning.test_turned_over import OVER, photos, plain, standing
+
+
+def without_depth(views: list[View]) -> Side:
+    return Side(views=views, maps=[None] * len(views), on_table=True, digest="")
+
+
+@pytest.mark.slow
+def test_a_plain_block_fits_in_several_turns() -> None:
+    block = trimesh.creation.box((0.08, 0.05, 0.06)).apply_translation([0, 0, 0.03])
+    first = without_depth(photos(block, SE3.identity(), plain))
+    second = without_depth(photos(block, standing(block, OVER), plain))
+    surface, other = (side_surface(s, 70, 1) for s in (first, second))
+    turn = find_turn(first, surface, second, other)
+    assert turn.by == "shape"
+    assert turn.ambiguous
+    assert "not measured" in turn.facts()["turned over residual"]
+
+
+@pytest.mark.parametrize(("twice", "repeats"), [(True, True), (False, False)])
+def test_a_print_that_is_there_twice(twice: bool, repeats: bool) -> None:
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-0.05, 0.05, (80, 3))
+    back = SE3(so3_exp(np.array([0, 0, np.pi])), np.zeros(3))
+    wrong = back @ q[:40] if twice else rng.uniform(-0.05, 0.05, (40, 3))
+    p = np.concatenate([q[:40], wrong])
+    inliers = np.arange(80) < 40
+    pairs = np.concatenate([q[:40], q[:40]])
+    assert _print_repeats(SE3.identity(), p, pairs, inliers, 0.001, 0.002) == repeats
