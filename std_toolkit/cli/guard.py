@@ -32,7 +32,7 @@ def main(program: int, grace_s: float, message: str) -> None:
         signal.signal(number, signal.SIG_IGN)
     try:
         ended = os.pidfd_open(program)
-    except OSError:  # it has ended already, or Linux is older than 5.3
+    except (OSError, AttributeError):  # it has ended already; not Linux, or older than 5.3
         return
     told, deadline, first = False, None, 0
     inputs = [0, ended]

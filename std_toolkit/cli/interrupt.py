@@ -92,8 +92,10 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 def _guard(message: str, grace_s: float) -> int | None:
     """Start the guard; returns the pipe that signals are written to. None without a guard."""
-    from_signals, to_guard = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    from_guard, to_thread = os.pipe2(os.O_CLOEXEC)
+    from_signals, to_guard = os.pipe()
+    from_guard, to_thread = os.pipe()
+    for end in (from_signals, to_guard):
+        os.set_blocking(end, False)
     words = [str(os.getpid()), str(grace_s), message]
     try:
         process = subprocess.Popen(
