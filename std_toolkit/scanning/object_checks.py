@@ -20,8 +20,11 @@ _SIMILAR_DEG = 35.0
 _LARGEST_ERROR_PX = 4.0
 # Features that photos of an object at rest share, and that photos before and after a move share.
 _MANY, _NONE = 15, 3
-# Pairs of photos before and after a move, and the share of them that share no feature.
+# Pairs of photos before and after a move, and the share of them that share no feature, beyond that
+# of pairs on one side of the move.
 _LEAST_PAIRS, _SHARE_NONE = 4, 0.5
+# Photos whose directions differ in height by more than this share fewer features.
+_LEVEL_DEG = 8.0
 # Features of one object lie in a box with this margin.
 _MARGIN_M = 0.005
 # Corners of tags in one photo, and photos, that show the board through the object.
@@ -65,6 +68,8 @@ def check_rest(
         return
     first, last = np.array(ends).T
     count = np.array([len(p) for p in points])
+    level = np.array([_height(poses[i]) - _height(poses[j]) for i, j in ends])
+    level = np.abs(level) < _LEVEL_DEG
     found, most = None, _SHARE_NONE
     for k in sorted(poses)[1:]:
         across = np.flatnonzero((first < k) & (last >= k))
@@ -78,12 +83,19 @@ def check_rest(
         if min(np.median(count[early]), np.median(count[late])) < _MANY:
             continue
         boxes = [_box([points[n] for n in part]) for part in (early, late)]
-        none = [
+        none = np.array([
             min(int(((points[n] >= low) & (points[n] <= high)).all(axis=1).sum())
                 for low, high in boxes) <= _NONE
             for n in across
-        ]  # fmt: skip
-        share = float(np.mean(none))
+        ])  # fmt: skip
+        # Photos from two heights may share little although nothing moved. After a move, those from
+        # one height share nothing either.
+        within = np.concatenate([early, late])
+        share = min(
+            float(none[level[across] == kind].mean())
+            - _mean(count[within[level[within] == kind]] <= _NONE)
+            for kind in np.unique(level[across])
+        )
         if share >= most and (found is None or share > most):
             found, most = k, share
     if found is not None:
@@ -99,6 +111,15 @@ def _box(points: Sequence[Array]) -> tuple[Array, Array]:
     together = np.concatenate(points)
     low, high = np.percentile(together, 2, axis=0), np.percentile(together, 98, axis=0)
     return low - _MARGIN_M, high + _MARGIN_M
+
+
+def _mean(values: NDArray[np.bool_]) -> float:
+    return float(values.mean()) if len(values) else 0.0
+
+
+def _height(pose: SE3) -> float:
+    """Angle of a viewing direction below the horizon in degrees."""
+    return float(np.degrees(np.arcsin(np.clip(-pose.R[2, 2], -1, 1))))
 
 
 def _angle(a: SE3, b: SE3) -> float:

@@ -47,6 +47,22 @@ def test_an_object_at_rest_passes() -> None:
     check({})
 
 
+def test_photos_from_two_heights_that_share_nothing_are_no_move() -> None:
+    """A low and a high round of 12 photos, which share nothing on one side of the object."""
+    rng = np.random.default_rng(0)
+    points = MIDDLE + rng.uniform([-0.03, -0.03, 0.015], [0.03, 0.03, 0.08], (40, 3))
+    poses, uv, pairs = {}, {}, []
+    same, none = np.stack([np.arange(40)] * 2, axis=1), np.zeros((0, 2), np.int64)
+    for i in range(24):
+        a, e = 2 * np.pi * (i % 12) / 12, np.deg2rad((20, 42)[i // 12])
+        away = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+        poses[i] = look_at(MIDDLE + 0.5 * away, MIDDLE)
+        uv[i] = CAMERA.project(poses[i].inverse() @ points)
+        pairs.append((i, i // 12 * 12 + (i + 1) % 12, same))
+        pairs.append((i % 12, i % 12 + 12, none if i % 12 > 6 else same))
+    check_rest(pairs, uv, poses, CAMERA, [f"{i}.jpg" for i in poses], reach=REACH)
+
+
 @pytest.mark.parametrize("turn", [0.0, 1.5])
 def test_an_object_that_moved_is_named_with_the_photos(turn: float) -> None:
     R = so3_exp(np.array([0, 0, turn]))
