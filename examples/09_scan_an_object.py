@@ -20,13 +20,13 @@ from std_toolkit.scanning.scan_step import scan
 
 
 def photograph(folder: Path) -> np.ndarray:
-    """Photos of a tumbler on the printed board; returns its extents in metres."""
+    """Photos of a tumbler on the printed board; returns its extents in metres, y up."""
     folder.mkdir(parents=True, exist_ok=True)
     mesh = tumbler(0.035, 0.1)
     mesh.export(folder / "tumbler.ply")
     make_turntable(
         TurntableOptions(
-            mesh=folder / "tumbler.ply", out=folder / "turntable", material="glass",
+            mesh=folder / "tumbler.ply", out=folder / "turntable", material="glass", up="y",
             views=24, width=640, height=360,
         )
     )  # fmt: skip
@@ -45,7 +45,7 @@ def main(folder: Path) -> None:
     )
     size = 1000 * np.ptp(scan(options).vertices, axis=0)
     print(f"scanned: {size[2]:.1f} mm high, {size[0]:.1f} mm wide")
-    print(f"true:    {true[2]:.1f} mm high, {true[0]:.1f} mm wide")
+    print(f"true:    {true[1]:.1f} mm high, {true[0]:.1f} mm wide")
 
 
 if __name__ == "__main__":

@@ -40,8 +40,8 @@ _MOST_OUTSIDE = 0.35
 # Height of a vessel and its radius, in sizes of the board.
 _TALLEST, _WIDEST = 1.3, 0.42
 _HINT = (
-    "spray it matt and scan it without --revolve, or give outlines of your own with --masks; a "
-    "patterned board behind the glass and light without highlights help"
+    "stand it upright; spray it matt and scan it without --revolve, or give outlines of your own "
+    "with --masks; a patterned board behind the glass and light without highlights help"
 )
 
 
@@ -84,7 +84,7 @@ def fit_vessel(
                 rough.evidence)  # fmt: skip
     if rough.evidence < _FAINT:
         raise ToolkitError(
-            f"the outline of the vessel is too faint: it differs from the bare table by "
+            f"the outline of an upright vessel is too faint: it differs from the bare table by "
             f"{rough.evidence:.2f} of the noise",
             field="--revolve",
             hint=_HINT,

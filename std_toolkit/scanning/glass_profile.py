@@ -180,8 +180,6 @@ def rough_profile(
     found = None
     for reach in (0.012, 0.004):
         found = _best_profile(photos, centre, tallest, widest)
-        if found.evidence < _PRICE:
-            return found
         centre = _best_centre(photos, found, reach)
         widest = min(widest, 1.15 * float(found.radii.max()) + 0.003)
         # Steps of the radius follow those of the height: a low, wide search would be slow.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -305,11 +305,14 @@ def _vessel(
     """
     if posed.on_table and not (options.masks or options.pick or options.box):
         return find_vessel(posed.views, posed.corners, threads=threads)
-    views = object_masks(options, posed, stages, threads)
     if not posed.on_table:
         raise ToolkitError("needs the board, which tells what is upright", field="--revolve")
-    outlines = [OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views]
-    return fit_revolution(outlines), views
+    views = object_masks(options, posed, stages, threads)
+    return _vessel_of_masks(views), views
+
+
+def _vessel_of_masks(views: Sequence[View]) -> RevolvedSurface:
+    return fit_revolution([OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views])
 
 
 def _revolved(

@@ -190,15 +190,17 @@ def test_a_ball_is_a_surface_of_revolution() -> None:
         views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=True, facts={},
         warnings=[], digest="", photos=scan_step.photo_files.Photos((), (), (160, 120), 1.0),
     )  # fmt: skip
-    vertices, faces, support = scan_step._revolved(views, posed)
+    found = scan_step._vessel_of_masks(views)
+    vertices, faces, support = scan_step._revolved(found, posed)
     assert not support.any()
     assert len(support) == len(faces)
     assert np.linalg.norm(vertices[:, :2] - CENTRE[:2], axis=1).max() == pytest.approx(
         RADIUS, abs=0.0006
     )
     assert "outline residual" in posed.facts
+    options = scan_step.ScanOptions(photos=Path("photos"), out=Path("out"), revolve=True)
     with pytest.raises(ToolkitError, match="needs the board"):
-        scan_step._revolved(views, replace(posed, on_table=False))
+        scan_step._vessel(options, replace(posed, on_table=False), scan_step.Stages(Path("x")), 1)
 
 
 def test_blurred_photos_are_found(tmp_path: Path) -> None:
