@@ -71,7 +71,7 @@ def test_a_bare_table_shows_no_vessel(
 ) -> None:
     views, evidence = photos
     noise = [np.where(e > 1, 0.05, e).astype(np.float32) for e in evidence]
-    with pytest.raises(ToolkitError, match="outline of the vessel") as caught:
+    with pytest.raises(ToolkitError, match="outline of an upright vessel") as caught:
         fit_vessel(views, noise, BOARD)
     assert "--masks" in str(caught.value.hint)
 
