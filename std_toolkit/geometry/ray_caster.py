@@ -112,8 +112,19 @@ class RayCaster:
 
     def closest(self, points: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Nearest surface points (..., 3) of points (..., 3) and the unit normals there."""
+        place, normal, _ = self.closest_with_faces(points)
+        return place, normal
+
+    def closest_with_faces(
+        self, points: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+        """As `closest`, and the faces (...) that the nearest points are on."""
         found = self._scene.compute_closest_points(self._floats(points), nthreads=self._threads)
-        return found["points"].numpy(), found["primitive_normals"].numpy()
+        return (
+            found["points"].numpy(),
+            found["primitive_normals"].numpy(),
+            found["primitive_ids"].numpy().astype(np.int64),
+        )
 
     def closest_faces(self, points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Faces (...) nearest to points (..., 3), and weights (..., 2) as `RayHits.uv` there."""

@@ -119,7 +119,7 @@ def _connect(options: JobOptions, tell: bool) -> None:
             f"cannot connect to Ray: {error}", field="--ray-address", value=address
         ) from error
     finally:
-        # Ray's own ends the process without a word.
+        # Ray's own ends the process silently.
         if handler is not None and threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, handler)
 

@@ -22,7 +22,7 @@ from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.posed_photos import PosedPhotos
 from std_toolkit.scanning.stages import Stages
-from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse
+from std_toolkit.scanning.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.underside import flatten_unseen
 from std_toolkit.scanning.views import Array, Grid, View
 from std_toolkit.scene.document import digest_of
@@ -40,12 +40,16 @@ class Side:
     Attributes:
         views: photos with masks, in the world of this position.
         maps: their depth maps.
+        grid: voxels around the object.
+        hull: signed distance to the visual hull on them.
         on_table: whether the table at z = 0 of this world bounds the object.
         digest: of the photos and all that the depth maps depend on.
     """
 
     views: list[View]
     maps: list[DepthMap | None]
+    grid: Grid
+    hull: NDArray[np.float32]
     on_table: bool
     digest: str
 
@@ -84,16 +88,16 @@ def measure_side(
     )
     maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
     lap("depth maps")
-    return Side(views=list(views), maps=maps, on_table=posed.on_table, digest=key)
+    return Side(
+        views=list(views), maps=maps, grid=grid, hull=hull, on_table=posed.on_table, digest=key
+    )
 
 
 def side_surface(side: Side, voxels: int, threads: int) -> Surface:
     """Coarse surface of one side in its own world, to register the other to."""
     grid, _ = _grid(side.views, max(40, round(_COARSE * voxels)), side.on_table)
     hull = _hull(side.views, grid, [SE3.identity()] if side.on_table else [], threads)
-    target = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
-    weights = agreeing(side.views, side.maps, target, threads=threads)
-    fused = fuse(side.views, side.maps, weights, hull, grid, threads=threads)
+    fused = _fused(side.views, side.maps, hull, grid, threads)
     vertices, faces = closed_mesh(fused.field, grid, 8000)
     support = _at(fused.support, grid, vertices[faces].mean(axis=1))
     return Surface(vertices=vertices, faces=faces, support=support)
@@ -113,12 +117,13 @@ def fused_surface(
     views = [replace(v, T_world_cam=T @ v.T_world_cam) for side, T in sides for v in side.views]
     maps = [m for side, _ in sides for m in side.maps]
     on_table = sides[0][0].on_table
-    grid, _ = _grid(views, options.voxels, on_table)
     floors = [T for side, T in sides if side.on_table]
-    hull = _hull(views, grid, floors, threads)
-    middle = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
-    weights = agreeing(views, maps, middle, threads=threads)
-    fused = fuse(views, maps, weights, hull, grid, threads=threads)
+    if len(sides) == 1:
+        grid, hull = sides[0][0].grid, sides[0][0].hull
+    else:
+        grid, _ = _grid(views, options.voxels, on_table)
+        hull = _hull(views, grid, floors, threads)
+    fused = _fused(views, maps, hull, grid, threads)
     vertices, faces = closed_mesh(fused.field, grid, options.faces)
     vertices = fit_outlines(
         vertices, faces, views, _at(fused.support, grid, vertices), floors=floors, threads=threads
@@ -129,6 +134,18 @@ def fused_surface(
             facts["closed by a plane"] = f"{100 * flattened:.0f} % of the surface, unseen"
     support = _at(fused.support, grid, vertices[faces].mean(axis=1))
     return Surface(vertices=vertices, faces=faces, support=support)
+
+
+def _fused(
+    views: Sequence[View],
+    maps: Sequence[DepthMap | None],
+    hull: NDArray[np.float32],
+    grid: Grid,
+    threads: int,
+) -> Fusion:
+    middle = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
+    weights = agreeing(views, maps, middle, threads=threads)
+    return fuse(views, maps, weights, hull, grid, threads=threads)
 
 
 def _grid(views: Sequence[View], voxels: int, on_table: bool) -> tuple[Grid, float]:

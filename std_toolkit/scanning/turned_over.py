@@ -232,8 +232,7 @@ def _distances(T: SE3, points: Array, surface: Surface, caster: RayCaster) -> Ar
     if len(points) == 0:
         return np.zeros(0)
     moved = T @ points
-    face, _ = caster.closest_faces(moved)
-    near, _ = caster.closest(moved)
+    near, _, face = caster.closest_with_faces(moved)
     off = np.linalg.norm(moved - near, axis=1)
     return np.asarray(off[surface.support[face] > 0.3], np.float64)
 
@@ -255,8 +254,7 @@ def _refined(
         rows, values, weights = [np.zeros((0, 6))], [np.zeros(0)], [np.zeros(0)]
         if len(points):
             moved = T @ points
-            closest, normal = caster.closest(moved)
-            face, _ = caster.closest_faces(moved)
+            closest, normal, face = caster.closest_with_faces(moved)
             off = ((moved - closest) * normal).sum(axis=1)
             use = (surface.support[face] > 0.3) & (np.abs(off) < 3 * near)
             rows.append(np.hstack([normal, np.cross(moved, normal)])[use])

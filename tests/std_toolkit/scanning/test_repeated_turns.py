@@ -12,12 +12,16 @@ pytest.importorskip("manifold3d")
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.scanning.measured_surface import Side, side_surface
 from std_toolkit.scanning.turned_over import _print_repeats, find_turn
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.views import Grid, View
 from tests.std_toolkit.scanning.test_turned_over import OVER, photos, plain, standing
 
 
 def without_depth(views: list[View]) -> Side:
-    return Side(views=views, maps=[None] * len(views), on_table=True, digest="")
+    grid = Grid((0.0, 0.0, 0.0), 0.01, (1, 1, 1))
+    return Side(
+        views=views, maps=[None] * len(views), grid=grid, hull=np.zeros(grid.shape, np.float32),
+        on_table=True, digest="",
+    )  # fmt: skip
 
 
 @pytest.mark.slow
