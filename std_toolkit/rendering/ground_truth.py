@@ -25,7 +25,7 @@ pixels; `perf/render.py`):
 - float32 EXR of depth: 14 ms and 0.62 MB with ZIP, 8 ms and 0.70 MB with RLE;
 - 16-bit PNG with OpenCV's defaults: 60 ms and 0.75 MB;
 - 16-bit PNG with the filter "up" and run-length matching: 18 ms and 0.68 MB;
-- 16-bit PNG of `sparse_png`, which stores objects and deflates the background: 6 ms and 0.97 MB.
+- 16-bit PNG of `sparse_png`, which stores objects and deflates the background: 2 ms and 0.97 MB.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import atomic, documents, exr, images
-from std_toolkit.io.sparse_png import sparse_png
 from std_toolkit.scene.model import Count, Document, ObjectId, Pose16, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -285,10 +284,11 @@ def _scaled(values: np.ndarray, factor: float, offset: float) -> np.ndarray:
 
 def _write_triples(path: Path, stored: np.ndarray, mask: np.ndarray) -> None:
     covered = np.ascontiguousarray(mask != 0, np.uint8)
-    stored = np.asarray(cv2.bitwise_and(stored, stored, mask=covered))
     if cv2.countNonZero(covered) > _SPARSE * covered.size:
-        _write_png(path, stored)
+        _write_png(path, np.asarray(cv2.bitwise_and(stored, stored, mask=covered)))
     else:
+        from std_toolkit.io.sparse_png import sparse_png  # loads numba
+
         atomic.write_bytes_atomic(path, sparse_png(stored, covered))
 
 

@@ -148,86 +148,43 @@ def surface_maps(
     *,
     smooth_normals: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return NOCS and normal map, (H,W,3) float32 each, of the pixels where `index` is not -1."""
+    """Return NOCS and normal map, (H,W,3) float32 each, of the pixels where `index` is not -1.
+
+    Normals of triangles seen from behind (a bowl without thickness, a mesh with inverted winding)
+    are flipped, so that they always point towards the camera.
+    """
+    from std_toolkit.rendering.surface_pixels import fill_maps  # loads numba
+
     shape = (camera.height, camera.width, 3)
     nocs, normals = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    inside = image_window(camera)
     for i, item in enumerate(placed):
         window = composition.silhouettes[i].image_window
         if window is None:
             continue
-        rows, columns = window.slices_in(inside)
-        part = composition.index[rows, columns]
-        at = np.flatnonzero(part == i)
-        if not len(at):
-            continue
-        v, u = np.divmod(at, part.shape[1])
-        x, y = normalised_rays(camera, window)
-        x, y = x[v if len(x) > 1 else 0, u], y[v, u if y.shape[1] > 1 else 0]
-        pixels = (v + rows.start) * camera.width + (u + columns.start)
-        z = composition.depth.ravel()[pixels].astype(np.float64)
-        points = np.empty((len(z), 3))
-        points[:, 0], points[:, 1], points[:, 2] = x * z, y * z, z
-        mesh = item.prepared
-        local = _to_mesh(points, mesh, item.T_cam_obj)
-        nocs.reshape(-1, 3)[pixels] = local * np.float32(1 / mesh.diagonal) + np.float32(0.5)
-        normals.reshape(-1, 3)[pixels] = surface_normals(
-            mesh, composition.face.ravel()[pixels], local, item.T_cam_obj, smooth=smooth_normals
+        place = window.slices_in(image_window(camera))
+        mesh, R = item.prepared, item.T_cam_obj.R
+        size = (window.height, window.width)
+        x, y = (np.broadcast_to(rays, size) for rays in normalised_rays(camera, window))
+        fill_maps(
+            composition.index[place],
+            i,
+            composition.depth[place],
+            composition.face[place],
+            x,
+            y,
+            np.ascontiguousarray(R),
+            R @ mesh.centre + item.T_cam_obj.t,
+            mesh.interpolation if smooth_normals else _NO_TABLE,
+            mesh.face_normals,
+            mesh.closed,
+            1 / mesh.diagonal,
+            nocs[place],
+            normals[place],
         )
     return nocs, normals
 
 
-def _to_mesh(points: np.ndarray, mesh: RenderMesh, T_cam_obj: SE3) -> np.ndarray:
-    """(N,3) camera-frame points in the mesh's centred coordinates, float32.
-
-    Subtracts in float64, because centred coordinates are small compared with the distance.
-    """
-    origin = T_cam_obj.R @ mesh.centre + T_cam_obj.t
-    return ((points - origin) @ T_cam_obj.R).astype(np.float32)
-
-
-def surface_normals(
-    mesh: RenderMesh, face: np.ndarray, local: np.ndarray, T_cam_obj: SE3, *, smooth: bool = True
-) -> np.ndarray:
-    """Return unit normals in the camera frame at points of triangles.
-
-    Args:
-        mesh: prepared mesh.
-        face: (N,) triangle of each point.
-        local: (N,3) points in the mesh's centred coordinates.
-        T_cam_obj: maps mesh coordinates into the camera frame.
-        smooth: interpolate corner normals; otherwise use the normal of the triangle.
-
-    Returns:
-        (N,3) float32. Normals of triangles seen from behind (a bowl without thickness, a mesh with
-        inverted winding) are flipped, so that they always point towards the camera.
-    """
-    normal = _interpolated(mesh, face, local) if smooth else mesh.face_normals[face]
-    if not mesh.closed:
-        camera_centre = (-(T_cam_obj.R.T @ T_cam_obj.t) - mesh.centre).astype(np.float32)
-        sight = local - camera_centre
-        behind = np.einsum("ij,ij->i", mesh.face_normals[face], sight) > 0
-        normal[behind] *= -1
-    return normal @ T_cam_obj.R.T.astype(np.float32)
-
-
-def _interpolated(mesh: RenderMesh, face: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """(N,3) float32 unit normals in mesh coordinates, interpolated within the triangles."""
-    # Component by component: loops over three numbers are slow.
-    table = np.ascontiguousarray(mesh.interpolation.take(face, axis=0).T)
-    x, y, z = np.ascontiguousarray(local.T)
-    # Rounding of the depth may put the point just outside its triangle, so clip.
-    v, w = (
-        np.clip(table[k] * x + table[k + 1] * y + table[k + 2] * z + table[k + 3], 0, 1)
-        for k in (0, 4)
-    )
-    normal = np.empty((len(face), 3), np.float32)
-    for k in range(3):
-        normal[:, k] = table[8 + k] + v * table[11 + k] + w * table[14 + k]
-    length = np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), np.float32(1e-12))
-    for k in range(3):
-        normal[:, k] /= length
-    return normal
+_NO_TABLE = np.empty((0, 17), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
