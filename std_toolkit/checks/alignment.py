@@ -93,7 +93,9 @@ def common_depth_shift(shifts: Sequence[DepthShift]) -> DepthShift | None:
 def _sampled(image: NDArray[np.floating], at: Array) -> Array:
     u, v = (at[..., k].astype(np.float32) for k in (0, 1))
     # Nearest: interpolated depth at an outline belongs to no surface.
-    return cv2.remap(image.astype(np.float32), u, v, cv2.INTER_NEAREST).astype(np.float64)
+    return cv2.remap(image.astype(np.float32, copy=False), u, v, cv2.INTER_NEAREST).astype(
+        np.float64
+    )
 
 
 def _boundaries(near: NDArray[np.bool_], offsets: Array) -> tuple[Array, Array]:

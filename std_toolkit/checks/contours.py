@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scene import Scene
 
@@ -29,6 +30,8 @@ _TANGENT_REACH = 3
 _BISECTIONS = 7
 
 SMALLEST_MASK_PX = 40
+
+_LARGEST_PX = 10_000
 
 NOTHING = 0
 """Object id of a ray that hits no object."""
@@ -171,24 +174,6 @@ def _outwardness(padded: NDArray[Any], pixels: Array, direction: Array) -> float
     return filled(-1) - filled(1)
 
 
-def svg_path(loops: list[Array], *, scale: float = 1.0, offset: tuple[float, float]) -> str:
-    """SVG path data of closed loops, in pixels of the drawn picture.
-
-    Args:
-        loops: polygons in image pixels, centres at integers.
-        scale: pixels of the picture per pixel of the image.
-        offset: x, y of the picture's top-left pixel in the image.
-    """
-    parts = []
-    for loop in loops:
-        # SVG puts the edge of the first pixel, not its centre, at 0.
-        drawn = (loop - offset + 0.5) * scale
-        thin = cv2.approxPolyDP(drawn.astype(np.float32).reshape(-1, 1, 2), 0.12, True)
-        if len(thin) >= 3:
-            parts.append("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in thin.reshape(-1, 2)) + "Z")
-    return "".join(parts)
-
-
 @dataclass(frozen=True, eq=False)
 class Hits:
     """Hits of rays.
@@ -214,6 +199,7 @@ class LabelCaster:
         self._all = RayCaster(threads=1)
         self._single: dict[int, RayCaster] = {}
         self.corners: dict[int, NDArray[np.float64]] = {}
+        self._hulls: dict[int, NDArray[np.float64]] = {}
         for object_id in self.object_ids:
             vertices, faces = objects[object_id]
             self._all.add(vertices, faces)
@@ -228,6 +214,7 @@ class LabelCaster:
                     for z in (low[2], high[2])
                 ]
             )
+            self._hulls[object_id] = _hull(used, self.corners[object_id])
 
     @staticmethod
     def of_scene(scene: Scene) -> LabelCaster:
@@ -257,24 +244,71 @@ class LabelCaster:
             uv: (..., 2) pixel coordinates, also outside the image.
             only: id of the one object to intersect; the others are ignored.
         """
-        # Directions with z = 1 in the camera frame make the returned distance the z-depth.
-        directions = camera.unproject(uv) @ T_world_cam.R.T
-        rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
-        rays[..., :3] = T_world_cam.t
-        rays[..., 3:] = directions
-        structure = self._all if only is None else self._single[only]
+        found = self._hits(camera.unproject(uv).reshape(-1, 3), T_world_cam, only)
+        shape = uv.shape[:-1]
+        return Hits(found.object_id.reshape(shape), found.depth.reshape(shape))
+
+    def cast_pixels(
+        self,
+        camera: Camera,
+        T_world_cam: SE3,
+        where: NDArray[np.bool_],
+        *,
+        origin: tuple[int, int] = (0, 0),
+        only: int | None = None,
+    ) -> Hits:
+        """The nearest object behind the N true pixels of `where`, as arrays (N,).
+
+        Args:
+            camera, T_world_cam, only: see `cast`.
+            where: (h, w) crop of the image at `origin`.
+            origin: x, y of its top-left pixel.
+        """
+        (height, width), (x, y) = where.shape, origin
+        rays = pixel_rays(camera)[y : y + height, x : x + width]
+        return self._hits(rays[where], T_world_cam, only)
+
+    def _hits(self, rays: Array, T_world_cam: SE3, only: int | None) -> Hits:
+        """Hits (N,) of camera-frame rays (N, 3) with z = 1, so that distances are z-depth."""
         if not self.object_ids:
-            shape = directions.shape[:-1]
-            return Hits(np.zeros(shape, np.int32), np.zeros(shape, np.float32))
-        answer = structure.cast(rays)
+            return Hits(np.zeros(len(rays), np.int32), np.zeros(len(rays), np.float32))
+        R = T_world_cam.R
+        x, y = rays[:, 0], rays[:, 1]
+        world = np.empty((len(rays), 6), np.float32)
+        world[:, :3] = T_world_cam.t
+        for k in range(3):  # thin products are slow in linear algebra's libraries
+            world[:, 3 + k] = x * R[k, 0] + y * R[k, 1] + R[k, 2]
+        answer = (self._all if only is None else self._single[only]).cast(world)
         depth = answer.distance
         hit = np.isfinite(depth) & (depth > 0)
+        # A ray without a hit has the largest number of a mesh.
         table = np.array(self.object_ids if only is None else [only], dtype=np.int32)
-        index = np.where(hit, answer.mesh.astype(np.int64), 0)
-        return Hits(
-            np.where(hit, table[index], NOTHING).astype(np.int32),
-            np.where(hit, depth, 0).astype(np.float32),
-        )
+        object_id = table.take(answer.mesh, mode="clip")
+        object_id[~hit] = NOTHING
+        depth[~hit] = 0
+        return Hits(object_id, depth)
+
+    def possible(self, camera: Camera, T_world_cam: SE3) -> NDArray[np.bool_]:
+        """(H, W) pixels that may show an object: inside the outlines of the convex hulls."""
+        mask = np.zeros((camera.height, camera.width), np.uint8)
+        T_cam_world = T_world_cam.inverse()
+        for object_id in self.object_ids:
+            window = self.window(object_id, camera, T_world_cam)
+            if window is None:
+                continue
+            x0, y0, x1, y1 = window
+            p = T_cam_world @ self._hulls[object_id]
+            uv = camera.project(p) - (x0, y0)
+            # Lens distortion bends the lines of a hull, and OpenCV's coordinates are limited.
+            if camera.is_distorted or not (np.abs(uv) < _LARGEST_PX).all():
+                mask[y0:y1, x0:x1] = 1
+                continue
+            part = np.ascontiguousarray(mask[y0:y1, x0:x1])
+            outline = cv2.convexHull(np.rint(uv).astype(np.int32))
+            cv2.fillConvexPoly(part, outline, 1)
+            cv2.polylines(part, [outline], isClosed=True, color=1, thickness=5)
+            mask[y0:y1, x0:x1] |= part
+        return mask.astype(bool)
 
     def window(
         self, object_id: int, camera: Camera, T_world_cam: SE3
@@ -303,6 +337,16 @@ class LabelCaster:
             int(np.clip(y1, 0, camera.height)),
         )
         return box if box[2] > box[0] and box[3] > box[1] else None
+
+
+def _hull(points: Array, box: Array) -> Array:
+    """Corners (N, 3) of the convex hull of points; those of their box if they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:
+        return box
 
 
 def mesh_problem(scene: Scene, model_id: str) -> str | None:

@@ -217,17 +217,10 @@ def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
 
 def _score(profiles: Profiles, strength: Array, dx: Array, dy: Array) -> Array:
     """Mean strength under the contour at shifts dx, dy (h, w)."""
-    # Only the component along the normal moves a point off the contour.
-    along = profiles.normals @ np.stack([dx.ravel(), dy.ravel()])
-    index = (along - profiles.offsets[0]) / STEP_PX
-    outside = (index < 0) | (index > len(profiles.offsets) - 1)
-    low = np.clip(index.astype(np.intp), 0, len(profiles.offsets) - 2)
-    part = index - low
-    left = np.take_along_axis(strength, low, axis=1)
-    right = np.take_along_axis(strength, low + 1, axis=1)
-    value = left + part * (right - left)
-    value[outside] = 0
-    return np.asarray(value.mean(axis=0).reshape(dx.shape))
+    from std_toolkit.checks.edge_sums import strength_at_shifts  # loads numba
+
+    found = strength_at_shifts(profiles.normals, profiles.offsets, strength, dx.ravel(), dy.ravel())
+    return np.asarray(found.reshape(dx.shape))
 
 
 def edge_peaks(profiles: Profiles) -> tuple[Array, Array]:

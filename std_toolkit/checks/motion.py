@@ -242,6 +242,8 @@ def solve_motion(
     """
     if not equations:
         return None
+    from std_toolkit.checks.edge_sums import normal_equations  # loads numba
+
     dof = 7 if with_size else 6
     J = np.concatenate([e.jacobian for e in equations]).astype(np.float64)[:, :dof]
     offsets = np.concatenate([e.offsets for e in equations]).astype(np.float64)
@@ -269,10 +271,8 @@ def solve_motion(
     def climb(xi: Array, widths: Sequence[float]) -> Array:
         for width in widths:
             for _ in range(_STEPS):
-                r, _ = responsibility(xi, width)
-                w = share * r.sum(axis=1) / width**2
-                b = share * (r * offsets).sum(axis=1) / width**2
-                xi = np.linalg.solve((J * w[:, None]).T @ J + prior, J.T @ b)
+                A, b = normal_equations(offsets, strengths, clutter, share, J, xi, width)
+                xi = np.linalg.solve(A + prior, b)
         return xi
 
     zero = np.zeros(dof)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.contours import Contour, svg_path
+from std_toolkit.checks.contours import Contour
 from std_toolkit.checks.residuals import LabelledView, open_for_work, render_view
 from std_toolkit.html.page import Picture
 from std_toolkit.options import CheckOptions
@@ -210,3 +210,23 @@ def _resized(
 def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def svg_path(
+    loops: list[NDArray[np.float64]], *, scale: float = 1.0, offset: tuple[float, float]
+) -> str:
+    """SVG path data of closed loops, in pixels of the drawn picture.
+
+    Args:
+        loops: polygons in image pixels, centres at integers.
+        scale: pixels of the picture per pixel of the image.
+        offset: x, y of the picture's top-left pixel in the image.
+    """
+    parts = []
+    for loop in loops:
+        # SVG puts the edge of the first pixel, not its centre, at 0.
+        drawn = (loop - offset + 0.5) * scale
+        thin = cv2.approxPolyDP(drawn.astype(np.float32).reshape(-1, 1, 2), 0.12, True)
+        if len(thin) >= 3:
+            parts.append("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in thin.reshape(-1, 2)) + "Z")
+    return "".join(parts)

@@ -155,14 +155,11 @@ def render_view(scene: Scene, caster: LabelCaster, frame: Frame) -> LabelledView
     assert T_world_cam is not None, "only registered frames can be checked"
     ids = np.zeros((camera.height, camera.width), np.int32)
     depth = np.zeros((camera.height, camera.width), np.float32)
-    windows = [caster.window(i, camera, T_world_cam) for i in caster.object_ids]
-    present = np.array([w for w in windows if w is not None])
-    if len(present):
-        x0, y0 = present[:, :2].min(axis=0)
-        x1, y1 = present[:, 2:].max(axis=0)
-        hits = caster.cast(camera, T_world_cam, _grid(x0, y0, x1, y1))
-        ids[y0:y1, x0:x1] = hits.object_id
-        depth[y0:y1, x0:x1] = hits.depth
+    within = caster.possible(camera, T_world_cam)
+    if within.any():
+        hits = caster.cast_pixels(camera, T_world_cam, within)
+        ids[within] = hits.object_id
+        depth[within] = hits.depth
     truth = None
     state = "none"
     if ground_truth.info_path(scene.root, frame.id).is_file():
@@ -253,12 +250,11 @@ def _observe_object(
     window = view.caster.window(object_id, view.camera, view.T_world_cam)
     if window is None:
         return None
-    alone = view.caster.cast(view.camera, view.T_world_cam, _grid(*window), only=object_id)
-    silhouette_px = int((alone.object_id != NOTHING).sum())
-    if silhouette_px == 0:
-        return None
     mask = view.mask(object_id)
     visible_px = int(mask.sum())
+    silhouette_px = visible_px + _hidden_px(view, object_id, window)
+    if silhouette_px == 0:
+        return None
     fraction = visible_px / silhouette_px
     if view.truth is not None:
         rows = {row.object: row for row in view.truth.info.objects}
@@ -293,6 +289,14 @@ def _observe_object(
     )
 
 
-def _grid(x0: int, y0: int, x1: int, y1: int) -> NDArray[np.float64]:
-    v, u = np.mgrid[y0:y1, x0:x1]
-    return np.stack([u, v], axis=-1).astype(np.float64)
+def _hidden_px(view: LabelledView, object_id: int, window: tuple[int, int, int, int]) -> int:
+    """Number of pixels of an object behind other labelled objects."""
+    x0, y0, x1, y1 = window
+    nearest = view.object_id[y0:y1, x0:x1]
+    behind = (nearest != NOTHING) & (nearest != object_id)
+    if not behind.any():
+        return 0
+    hits = view.caster.cast_pixels(
+        view.camera, view.T_world_cam, behind, origin=(x0, y0), only=object_id
+    )
+    return int((hits.object_id != NOTHING).sum())

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from toy_balls import CAMERA, CENTRES, DISTANCE_M, RADIUS_M, arc_pose, ball_mesh, draw_balls
 
-from std_toolkit.checks.contours import Contour, LabelCaster, svg_path, trace_contour
+from std_toolkit.checks.contours import NOTHING, Contour, LabelCaster, trace_contour
+from std_toolkit.checks.edge_sums import strength_at_shifts
 from std_toolkit.checks.edges import (
     best_shift,
     edge_distance,
@@ -15,6 +16,7 @@ from std_toolkit.checks.edges import (
     read_profiles,
     smooth_image,
 )
+from std_toolkit.checks.overlay import svg_path
 from std_toolkit.geometry.se3 import SE3
 
 VIEW = arc_pose(0.0)
@@ -165,3 +167,36 @@ def test_object_behind_the_camera_has_no_window() -> None:
     around = LabelCaster({1: (VIEW.t + np.asarray(mesh.vertices), mesh.faces)})
     assert around.window(1, CAMERA, VIEW) == (0, 0, CAMERA.width, CAMERA.height)
     assert isinstance(VIEW, SE3)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.25, 0.1, 0.0), (0.0, 0.0, 0.9)])
+def test_every_pixel_of_an_object_is_cast(shift: tuple[float, float, float]) -> None:
+    """In view, across the border of the image, and around the camera."""
+    mesh, centre = ball_mesh(), CENTRES[1] + VIEW.R @ np.array(shift) * [1, 1, -1]
+    caster = LabelCaster(
+        {
+            1: (centre + np.asarray(mesh.vertices), mesh.faces),
+            2: (CENTRES[2] + np.asarray(mesh.vertices), mesh.faces),
+        }
+    )
+    whole = caster.cast(CAMERA, VIEW, CAMERA.pixel_grid())
+    possible = caster.possible(CAMERA, VIEW)
+    assert not (whole.object_id[~possible] != NOTHING).any()
+    few = caster.cast_pixels(CAMERA, VIEW, possible)
+    np.testing.assert_array_equal(few.object_id, whole.object_id[possible])
+    np.testing.assert_array_equal(few.depth, whole.depth[possible])
+
+
+def test_strength_at_shifts_interpolates_the_profiles() -> None:
+    rng = np.random.default_rng(0)
+    offsets = np.arange(-8, 8.5, 0.5)
+    strength, turn = rng.random((50, len(offsets))), rng.uniform(0, 2 * np.pi, 50)
+    normals = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    dx, dy = rng.uniform(-9, 9, (2, 40))
+    along = normals @ np.stack([dx, dy])
+    expected = np.mean(
+        [np.interp(a, offsets, s, left=0, right=0) for a, s in zip(along, strength, strict=True)],
+        axis=0,
+    )
+    found = strength_at_shifts(normals, offsets, strength, dx, dy)
+    np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -1,0 +1,76 @@
+"""Sums over the points of a contour in compiled code: the inner loops of the check.
+
+A frame has some hundred points per object, and numpy spends most of its time on the small arrays
+between the steps of a sum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from std_toolkit.compiled import compiled
+
+
+@compiled
+def normal_equations(  # type: ignore[no-untyped-def]
+    offsets, strengths, clutter, share, jacobian, motion, width
+):
+    """Normal equations (D, D) and (D,) of a motion to the edges that it makes likely.
+
+    Args:
+        offsets: (P, K) positions of edges along the normals in px.
+        strengths: (P, K) weights of these edges, 0 for no edge.
+        clutter: (P,) number of edges per px that belong to nothing.
+        share: (P,) number of independent samples that a point stands for.
+        jacobian: (P, D) px per unit of motion.
+        motion: (D,) at which edges are weighed.
+        width: standard deviation of an edge in px.
+    """
+    size = jacobian.shape[1]
+    A, b = np.zeros((size, size)), np.zeros(size)
+    scale = 1 / (np.sqrt(2 * np.pi) * width)
+    for p in range(len(offsets)):
+        moved = 0.0
+        for i in range(size):
+            moved += jacobian[p, i] * motion[i]
+        density, pulled = 0.0, 0.0
+        for k in range(offsets.shape[1]):
+            error = (offsets[p, k] - moved) / width
+            d = strengths[p, k] * np.exp(-0.5 * error * error) * scale
+            density += d
+            pulled += d * offsets[p, k]
+        factor = share[p] / (density + clutter[p]) / (width * width)
+        for i in range(size):
+            b[i] += jacobian[p, i] * factor * pulled
+            for j in range(i + 1):
+                A[i, j] += jacobian[p, i] * jacobian[p, j] * factor * density
+    for i in range(size):
+        for j in range(i):
+            A[j, i] = A[i, j]
+    return A, b
+
+
+@compiled
+def strength_at_shifts(normals, offsets, strength, dx, dy):  # type: ignore[no-untyped-def]
+    """(N,) mean strength under a contour at N shifts, 0 beyond its profiles.
+
+    Args:
+        normals: (P, 2) of the contour.
+        offsets: (S,) evenly spaced positions on the profiles, px.
+        strength: (P, S) on the profiles.
+        dx, dy: (N,) shifts, px.
+    """
+    total = np.zeros(len(dx))
+    points, samples = strength.shape
+    step = offsets[1] - offsets[0]
+    for p in range(points):
+        for n in range(len(dx)):
+            # Only the component along the normal moves a point off the contour.
+            along = normals[p, 0] * dx[n] + normals[p, 1] * dy[n]
+            index = (along - offsets[0]) / step
+            if index < 0 or index > samples - 1:
+                continue
+            low = min(int(index), samples - 2)
+            left = strength[p, low]
+            total[n] += left + (index - low) * (strength[p, low + 1] - left)
+    return total / points
