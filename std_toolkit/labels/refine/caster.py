@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.labels.refine.object_surface import ObjectSurface, rotated, turned
+from std_toolkit.labels.refine import patch_pixels
+from std_toolkit.labels.refine.object_surface import ObjectSurface, turned
 from std_toolkit.labels.refine.problem import RefineObject
 
 NONE = -1
@@ -265,16 +266,11 @@ def _cast(
     if x1 < x0 or y1 < y0:
         return None
     x = ((np.arange(x0, x1 + 1) - camera.cx) / camera.fx).astype(np.float32)
-    y = ((np.arange(y0, y1 + 1) - camera.cy) / camera.fy).astype(np.float32)[:, None]
-    R = T_cam_obj.R.astype(np.float32)
-    rays = np.empty((y1 + 1 - y0, x1 + 1 - x0, 6), np.float32)
-    rays[..., :3] = T_cam_obj.inverse().t - surface.centre
-    for k in range(3):
-        rays[..., 3 + k] = x * R[0, k] + (y * R[1, k] + R[2, k])
-    depth, found = surface.meet(rays)
-    normal = np.ascontiguousarray(np.moveaxis(found, -1, 0))
-    away = normal[0] * rays[..., 3]
-    away += normal[1] * rays[..., 4]
-    away += normal[2] * rays[..., 5]
-    normal *= np.where(away > 0, np.float32(-1), np.float32(1))
-    return Layer(x0, y0, depth, rotated(normal, T_world_obj.R))
+    y = ((np.arange(y0, y1 + 1) - camera.cy) / camera.fy).astype(np.float32)
+    rays = np.empty((1, len(y), len(x), 6), np.float32)
+    eye = (T_cam_obj.inverse().t - surface.centre).astype(np.float32)
+    R = np.ascontiguousarray(T_cam_obj.R, np.float32)
+    patch_pixels.fill_rays(eye[None], R[None], x[None], y[None], rays)
+    depth, normal = surface.meet(rays[0])
+    R = np.ascontiguousarray(T_world_obj.R, np.float32)
+    return Layer(x0, y0, depth, patch_pixels.facing_normals(normal, rays[0], R))

@@ -146,15 +146,6 @@ class ObjectSurface:
         return nearest.astype(np.float64) + self.centre, normal.astype(np.float64)
 
 
-def rotated(vectors: NDArray[np.float32], R: Array) -> NDArray[np.float32]:
-    """(3, ...) R applied to vectors (3, ...), component by component."""
-    x, y, z = vectors
-    out = np.empty_like(vectors)
-    for k, (a, b, c) in enumerate(R.astype(np.float32)):
-        out[k] = a * x + b * y + c * z
-    return out
-
-
 def turned(vectors: NDArray[np.floating], R: Array) -> NDArray[np.float32]:
     """(N, 3) R applied to vectors; thin products are slow in linear algebra's libraries."""
     x, y, z = (vectors[:, k].astype(np.float32, copy=False) for k in range(3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -28,6 +29,7 @@ from std_toolkit.labels.refine.edges.outlines import (
     edge_direction,
 )
 from std_toolkit.labels.refine.edges.solver import refine_poses
+from std_toolkit.labels.refine.patch_pixels import outline_angles, outline_weights
 from std_toolkit.labels.refine.problem import RefineObject
 
 ANGLES = (-0.9, 0.1, 1.0)
@@ -188,11 +190,42 @@ def test_the_direction_of_an_edge(angle):
     assert abs(np.sin(float(found[20, 20]) - angle)) < 0.03
 
 
-def test_the_direction_at_some_pixels_is_that_of_the_whole_image():
-    image = np.random.default_rng(0).random((30, 40, 5)).astype(np.float32)
-    at = np.array([0, 41, 700, 1199])
-    for whole, some in zip(edge_direction(image), edge_direction(image, at), strict=True):
-        assert np.array_equal(whole.ravel()[at], some)
+def test_directions_of_outlines_are_those_of_the_whole_patch():
+    rng = np.random.default_rng(0)
+    depth = np.zeros((2, 30, 40), np.float32)
+    depth[:, 8:22, 8:30] = 0.5 + 0.02 * rng.random((2, 14, 22))
+    depth[1, 12, 15] = 0
+    normal = rng.normal(size=(2, 24, 34, 3)).astype(np.float32)
+    seen = depth > 0
+    channels = np.zeros((2, 30, 40, 5), np.float32)
+    channels[..., 0] = 2 * seen
+    channels[..., 1] = np.clip((depth - 0.5) / 0.005, -6, 6) * seen
+    channels[:, 3:-3, 3:-3, 2:] = normal
+    channels[~seen] = 0
+    at = rng.choice(np.flatnonzero(seen), 50)
+    found = outline_angles(depth, normal, 3, 0.5, 0.005, at)
+    for n in range(2):
+        smooth = cv2.blur(channels[n], (3, 3), borderType=cv2.BORDER_CONSTANT)
+        mine = at // 1200 == n
+        expected = edge_direction(smooth)[1].ravel()[at[mine] % 1200]
+        assert np.abs(np.sin(found[mine] - expected)).max() < 1e-4
+
+
+def test_outlines_have_weights_by_kind():
+    depth = np.zeros((1, 12, 14), np.float32)
+    depth[0, 4:8, 4:10] = 0.5
+    depth[0, 4:8, 7:10] = 0.6  # a jump
+    normal = np.zeros((1, 6, 8, 3), np.float32)
+    normal[..., 2] = -1
+    normal[0, 3:] = [0, -1, 0]  # a crease below row 5
+    others = np.full((12, 14), np.inf, np.float32)
+    others[:, :4] = 0.3  # hides what lies to the left
+    row, column = np.arange(12)[None], np.arange(14)[None]
+    weight = outline_weights(depth, normal, 3, others, row, column, 0.02, 0.766, 0.5)[0]
+    assert (weight[5, 6:8] == 1).all() and weight[5, 8] == 0.5 == weight[6, 5]
+    assert weight[6, 4] == 0.5 and weight[6, 3] == 0  # the border of the nearer surface
+    assert (weight[3, 4:10] == 1).all() and (weight[8, 4:10] == 1).all()
+    assert (weight[4:8, 9] == 1).all() and (weight[4:8, 10] == 1).all()
 
 
 def test_five_views_from_all_around_are_looked_at():

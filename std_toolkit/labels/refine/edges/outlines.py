@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.labels.refine import patch_pixels
 from std_toolkit.labels.refine.problem import RefineObject
 
 Array = NDArray[np.float64]
@@ -100,31 +101,27 @@ class OutlineCaster:
         R_cam_obj = T.R.T @ R
         t_cam_obj = (t - T.t) @ T.R
         u, v = self._patches(camera, R_cam_obj, t_cam_obj)
-        depth, normal = self._cast(camera, R_cam_obj, t_cam_obj, u, v)
         h, w = window.others.shape
         row, column = v - window.y, u - window.x
         within = ((row >= 1) & (row < h - 1))[:, :, None] & ((column >= 1) & (column < w - 1))[
             :, None, :
         ]
         row, column = np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)
-        visible = np.isfinite(depth)
-        others = None
-        if np.isfinite(window.others).any():
-            others = window.others[row[:, :, None], column[:, None, :]]
-            visible &= depth < others
-        hidden = ~visible
-        depth[hidden] = 0
-        normal[:, hidden] = 0
-        seen = depth[visible]
+        met, normal, rays = self._cast(camera, R_cam_obj, t_cam_obj, u, v)
+        depth = np.zeros(within.shape, np.float32)
+        place = _MARGIN, window.others, row, column
+        patch_pixels.keep_visible(met, normal, rays, *place, depth)
+        seen = depth[depth > 0]
         distance = float(np.median(seen)) if len(seen) else 1.0
         jump = max(_SMALLEST_JUMP_M, _SMALLEST_JUMP_FOOTPRINTS * distance / camera.fx)
-        passing = _passing(visible, depth, normal, others, jump)
-        passing *= within
-        at = np.flatnonzero(passing)
-        relief = (depth - np.float32(distance)) / np.float32(jump)
-        angle = _angles(visible, relief, normal, at)
-        k, y, x = np.unravel_index(at, passing.shape)
-        return Outlines(k, row[k, y], column[k, x], angle, passing.ravel()[at])
+        weight = patch_pixels.outline_weights(
+            depth, normal, *place, jump, _CREASE_COSINE, _CREASE_WEIGHT
+        )
+        weight *= within
+        at = np.flatnonzero(weight)
+        angle = patch_pixels.outline_angles(depth, normal, _MARGIN, distance, jump, at)
+        k, y, x = np.unravel_index(at, weight.shape)
+        return Outlines(k, row[k, y], column[k, x], angle, weight.ravel()[at])
 
     def _patches(
         self, camera: Camera, R: Array, t: Array
@@ -149,76 +146,19 @@ class OutlineCaster:
         t: Array,
         u: NDArray[np.intp],
         v: NDArray[np.intp],
-    ) -> tuple[Array32, Array32]:
-        """z-depth (N, h, w) and normals towards the camera (3, N, h, w), object frame."""
-        shape = len(R), v.shape[1], u.shape[1]
-        depth = np.full(shape, np.inf, np.float32)
-        normal = np.zeros((3, *shape), np.float32)
-        # The margin is empty.
+    ) -> tuple[Array32, Array32, Array32]:
+        """z-depth (N, h, w), inf without a hit, normals (N, h, w, 3) and rays (N, h, w, 6).
+
+        All are in the object frame, without the margin of the patches.
+        """
         inside = slice(_MARGIN, -_MARGIN)
-        u, v = u[:, inside], v[:, inside]
-        x = ((u - camera.cx) / camera.fx).astype(np.float32)[:, None, :]
-        y = ((v - camera.cy) / camera.fy).astype(np.float32)[:, :, None]
-        R32 = R.astype(np.float32)
-        rays = np.empty((len(R), v.shape[1], u.shape[1], 6), np.float32)
+        x = ((u[:, inside] - camera.cx) / camera.fx).astype(np.float32)
+        y = ((v[:, inside] - camera.cy) / camera.fy).astype(np.float32)
+        rays = np.empty((len(R), y.shape[1], x.shape[1], 6), np.float32)
         eye = -np.einsum("nji,nj->ni", R, t) - self._surface.centre
-        rays[..., :3] = eye[:, None, None]
-        for k in range(3):
-            a, b, c = (R32[:, i, k, None, None] for i in range(3))
-            rays[..., 3 + k] = x * a + y * b + c
-        depth[:, inside, inside], met = self._surface.meet(rays)
-        away = met[..., 0] * rays[..., 3]
-        away += met[..., 1] * rays[..., 4]
-        away += met[..., 2] * rays[..., 5]
-        toward = np.where(away > 0, np.float32(-1), np.float32(1))
-        for k in range(3):
-            np.multiply(met[..., k], toward, out=normal[k][:, inside, inside])
-        return depth, normal
-
-
-def _passing(
-    visible: NDArray[np.bool_],
-    depth: Array32,
-    normal: Array32,
-    others: Array32 | None,
-    jump: float,
-) -> Array32:
-    """(N, h, w) weight of the outline at each pixel: both pixels beside it have it."""
-    weight = np.zeros(visible.shape, np.float32)
-    for axis in (1, 2):
-        a = tuple(slice(None, -1) if k == axis else slice(None) for k in range(3))
-        b = tuple(slice(1, None) if k == axis else slice(None) for k in range(3))
-        ends, begins = visible[a] > visible[b], visible[b] > visible[a]
-        if others is not None:
-            # A border with a nearer surface does not belong to the object.
-            ends &= others[b] > depth[a]
-            begins &= others[a] > depth[b]
-        both = visible[a] & visible[b]
-        whole = ends | begins | (both & (np.abs(depth[b] - depth[a]) > jump))
-        cosine = normal[0][a] * normal[0][b]
-        cosine += normal[1][a] * normal[1][b]
-        cosine += normal[2][a] * normal[2][b]
-        here = (both & (cosine < _CREASE_COSINE)) * np.float32(_CREASE_WEIGHT)
-        here[whole] = 1
-        np.maximum(weight[a], here, out=weight[a])
-        np.maximum(weight[b], here, out=weight[b])
-    return weight
-
-
-def _angles(
-    visible: NDArray[np.bool_], relief: Array32, normal: Array32, at: NDArray[np.intp]
-) -> Array32:
-    """Direction of what changes at flat pixels (N,): mask, depth in jumps, or normal."""
-    n, h, w = visible.shape
-    channels = np.empty((n * h, w, 5), np.float32)
-    shown = visible.reshape(n * h, w)
-    np.multiply(shown, np.float32(2), out=channels[..., 0])
-    np.multiply(np.clip(relief, -6, 6).reshape(n * h, w), shown, out=channels[..., 1])
-    for k in range(3):
-        channels[..., 2 + k] = normal[k].reshape(n * h, w)
-    # The margins keep the patches, one above the other, apart.
-    smooth = np.asarray(cv2.blur(channels, (3, 3)), dtype=np.float32)
-    return edge_direction(smooth, at)[1]
+        R32 = np.ascontiguousarray(R, np.float32)
+        patch_pixels.fill_rays(eye.astype(np.float32), R32, x, y, rays)
+        return *self._surface.meet(rays), rays
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,22 +200,19 @@ class EdgeMap:
         return self.response[k, v, u]
 
 
-def edge_direction(image: Array32, at: NDArray[np.intp] | None = None) -> tuple[Array32, Array32]:
+def edge_direction(image: Array32) -> tuple[Array32, Array32]:
     """Strength of the largest change at every pixel and its direction's angle in [0, pi).
 
     All channels are combined (Di Zenzo's structure tensor, without smoothing).
 
     Args:
         image: (h, w, channels).
-        at: flat indices (N,) of pixels; default: all.
 
     Returns:
-        Two arrays (h, w), or (N,) if `at` is given.
+        Two arrays (h, w).
     """
     gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=3)
     gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=3)
-    if at is not None:
-        gx, gy = (g.reshape(-1, image.shape[2])[at] for g in (gx, gy))
     xx, xy, yy = (np.zeros(gx.shape[:-1], np.float32) for _ in range(3))
     for k in range(image.shape[2]):
         x, y = gx[..., k], gy[..., k]
