@@ -153,7 +153,7 @@ def _deflate(image, covered, out):  # type: ignore[no-untyped-def]
                             low, high = low % _ADLER, high % _ADLER
                         out[at] = byte
                         at += 1
-                        low += byte
+                        low += int(byte)
                         high += low
                         inside -= 1
                         size -= 1
