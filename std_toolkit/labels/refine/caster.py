@@ -129,15 +129,17 @@ class WorldCaster:
         index = np.full(shape, NONE, np.int32)
         normal = np.zeros((3, *shape), np.float32)
         among = []
+        T_cam_world = T_world_cam.inverse()
         for i, (surface, T_world_obj) in enumerate(self._placed):
+            covered = _covered(surface, T_cam_world @ T_world_obj, camera)
+            if covered is None or _apart(covered, box):
+                continue
             layer = self._layers.layer(surface, T_world_obj, camera, T_world_cam)
             if layer is None:
                 continue
             h, w = layer.depth.shape
             left, right = max(layer.x, x0), min(layer.x + w, x1 + 1)
             top, bottom = max(layer.y, y0), min(layer.y + h, y1 + 1)
-            if left >= right or top >= bottom:
-                continue
             among.append(i)
             here = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
             there = slice(top - layer.y, bottom - layer.y), slice(left - layer.x, right - layer.x)
@@ -254,17 +256,31 @@ def _size(layer: Layer | None) -> int:
     return 0 if layer is None else layer.depth.nbytes + layer.normal.nbytes
 
 
-def _cast(
-    surface: ObjectSurface, T_world_obj: SE3, camera: Camera, T_world_cam: SE3
-) -> Layer | None:
-    T_cam_obj = T_world_cam.inverse() @ T_world_obj
+def _covered(
+    surface: ObjectSurface, T_cam_obj: SE3, camera: Camera
+) -> tuple[int, int, int, int] | None:
+    """Pixels x0, y0, x1, y1 (inclusive) of the image that an object may cover; None if none."""
     if (T_cam_obj @ surface.centre)[2] < -surface.radius:
         return None
     box = image_box(surface, T_cam_obj, camera) or (0, 0, camera.width - 1, camera.height - 1)
     x0, y0 = max(box[0], 0), max(box[1], 0)
     x1, y1 = min(box[2], camera.width - 1), min(box[3], camera.height - 1)
-    if x1 < x0 or y1 < y0:
+    return None if x1 < x0 or y1 < y0 else (x0, y0, x1, y1)
+
+
+def _apart(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
+    """Whether two boxes x0, y0, x1, y1 (inclusive) have no pixel in common."""
+    return a[2] < b[0] or b[2] < a[0] or a[3] < b[1] or b[3] < a[1]
+
+
+def _cast(
+    surface: ObjectSurface, T_world_obj: SE3, camera: Camera, T_world_cam: SE3
+) -> Layer | None:
+    T_cam_obj = T_world_cam.inverse() @ T_world_obj
+    box = _covered(surface, T_cam_obj, camera)
+    if box is None:
         return None
+    x0, y0, x1, y1 = box
     x = ((np.arange(x0, x1 + 1) - camera.cx) / camera.fx).astype(np.float32)
     y = ((np.arange(y0, y1 + 1) - camera.cy) / camera.fy).astype(np.float32)
     rays = np.empty((1, len(y), len(x), 6), np.float32)

@@ -35,8 +35,8 @@ def fill_rays(eye, R, x, y, rays):  # type: ignore[no-untyped-def]
             for c in range(x.shape[1]):
                 for k in range(3):
                     rays[n, r, c, k] = eye[n, k]
-                    along = x[n, c] * R[n, 0, k] + y[n, r] * R[n, 1, k]
-                    rays[n, r, c, 3 + k] = along + R[n, 2, k]
+                    down = y[n, r] * R[n, 1, k] + R[n, 2, k]
+                    rays[n, r, c, 3 + k] = x[n, c] * R[n, 0, k] + down
 
 
 @compiled
