@@ -32,7 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-LIMIT_SECONDS, LIMIT_MIB = 2.0, 1536
+LIMIT_SECONDS, LIMIT_VIEWS_SECONDS, LIMIT_MIB = 1.0, 3.0, 1536
+# On a busy machine a window takes minutes.
+PATIENCE_SECONDS = 600
 IMAGES = 12
 WIDTH, HEIGHT = 1600, 1000
 Stages = dict[str, list[float]]
@@ -184,8 +186,10 @@ def virtual_display() -> Iterator[tuple[dict[str, str], Callable[[], NDArray[np.
         environment |= {"QT_API": "pyside6", "QT_QPA_PLATFORM": "xcb"}
         # As for a person: compiled once, by the first run, which does not count.
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        yield environment, shown
-        server.terminate()
+        try:
+            yield environment, shown
+        finally:
+            server.terminate()
 
 
 def measure(kind: str, scene: Path) -> Stages:
@@ -220,7 +224,7 @@ def watch_command(scene: Path) -> Stages:
             stages[stage] = [at - began, cpu, peak_mib(str(process.pid))]
 
         while "everything drawn" not in stages:
-            if process.poll() is not None or time.monotonic() > began + 60:
+            if process.poll() is not None or time.monotonic() > began + PATIENCE_SECONDS:
                 process.kill()
                 raise SystemExit("std-annotate showed no image")
             time.sleep(0.01)
@@ -270,7 +274,10 @@ def main() -> None:
         watch_command(scene)
         table("std-annotate", [watch_command(scene) for _ in range(args.runs)])
         table("window", [measure("window", scene)])
-    print(f"limits: first frame in {LIMIT_SECONDS} s, {LIMIT_MIB} MiB")
+    print(
+        f"limits: first frame in {LIMIT_SECONDS} s, all views in {LIMIT_VIEWS_SECONDS} s, "
+        f"{LIMIT_MIB} MiB"
+    )
 
 
 def table(kind: str, runs: list[Stages]) -> None:
