@@ -1,4 +1,4 @@
-"""Time and memory of std-annotate when it opens a scene of 900 frames of 1280x720.
+"""Time and memory of std-annotate when it opens a scene of 900 or more frames of 1280x720.
 
     python perf/annotate_open.py [--frames 900] [--runs 5] [--scene DIR]
 
