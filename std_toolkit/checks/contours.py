@@ -272,12 +272,9 @@ class LabelCaster:
         """Hits (N,) of camera-frame rays (N, 3) with z = 1, so that distances are z-depth."""
         if not self.object_ids:
             return Hits(np.zeros(len(rays), np.int32), np.zeros(len(rays), np.float32))
-        R = T_world_cam.R
-        x, y = rays[:, 0], rays[:, 1]
-        world = np.empty((len(rays), 6), np.float32)
-        world[:, :3] = T_world_cam.t
-        for k in range(3):  # thin products are slow in linear algebra's libraries
-            world[:, 3 + k] = x * R[k, 0] + y * R[k, 1] + R[k, 2]
+        from std_toolkit.checks.edge_sums import world_rays  # loads numba
+
+        world = world_rays(rays, np.ascontiguousarray(T_world_cam.R), T_world_cam.t)
         answer = (self._all if only is None else self._single[only]).cast(world)
         depth = answer.distance
         hit = np.isfinite(depth) & (depth > 0)

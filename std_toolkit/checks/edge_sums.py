@@ -51,6 +51,37 @@ def normal_equations(  # type: ignore[no-untyped-def]
 
 
 @compiled
+def climb(  # type: ignore[no-untyped-def]
+    offsets, strengths, clutter, share, jacobian, prior, motion, widths, steps
+):
+    """(D,) motion after some steps with each of the widths, from a motion (D,).
+
+    Args:
+        offsets, strengths, clutter, share, jacobian: see `normal_equations`.
+        prior: (D, D) added to the normal equations.
+        motion: (D,) to start from.
+        widths: (W,) px.
+        steps: number of steps with each width.
+    """
+    for width in widths:
+        for _ in range(steps):
+            A, b = normal_equations(offsets, strengths, clutter, share, jacobian, motion, width)
+            motion = np.linalg.solve(A + prior, b)
+    return motion
+
+
+@compiled
+def world_rays(rays, R, t):  # type: ignore[no-untyped-def]
+    """(N, 6) float32 origins t and directions R @ ray of camera-frame rays (N, 3), z = 1."""
+    found = np.empty((len(rays), 6), np.float32)
+    for n in range(len(rays)):
+        for k in range(3):
+            found[n, k] = t[k]
+            found[n, 3 + k] = rays[n, 0] * R[k, 0] + rays[n, 1] * R[k, 1] + R[k, 2]
+    return found
+
+
+@compiled
 def strength_at_shifts(normals, offsets, strength, dx, dy):  # type: ignore[no-untyped-def]
     """(N,) mean strength under a contour at N shifts, 0 beyond its profiles.
 

@@ -242,7 +242,7 @@ def solve_motion(
     """
     if not equations:
         return None
-    from std_toolkit.checks.edge_sums import normal_equations  # loads numba
+    from std_toolkit.checks.edge_sums import climb  # loads numba
 
     dof = 7 if with_size else 6
     J = np.concatenate([e.jacobian for e in equations]).astype(np.float64)[:, :dof]
@@ -268,20 +268,14 @@ def solve_motion(
         total = density.sum(axis=1) + clutter
         return density / total[:, None], np.log(total)
 
-    def climb(xi: Array, widths: Sequence[float]) -> Array:
-        for width in widths:
-            for _ in range(_STEPS):
-                A, b = normal_equations(offsets, strengths, clutter, share, J, xi, width)
-                xi = np.linalg.solve(A + prior, b)
-        return xi
-
     zero = np.zeros(dof)
     last = _WIDTHS_PX[-1]
 
     def score(xi: Array) -> float:
         return float((share * responsibility(xi, last)[1]).sum() - 0.5 * xi @ prior @ xi)
 
-    found = [climb(zero, _WIDTHS_PX[first:]) for first in (0, 2, 4)]
+    rows = offsets, strengths, clutter, share, np.ascontiguousarray(J), prior
+    found = [climb(*rows, zero, np.array(_WIDTHS_PX[first:]), _STEPS) for first in (0, 2, 4)]
     xi = max(found, key=score)
     r, _ = responsibility(xi, last)
     e = offsets - (J @ xi)[:, None]

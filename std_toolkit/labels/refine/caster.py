@@ -129,17 +129,15 @@ class WorldCaster:
         index = np.full(shape, NONE, np.int32)
         normal = np.zeros((3, *shape), np.float32)
         among = []
-        T_cam_world = T_world_cam.inverse()
         for i, (surface, T_world_obj) in enumerate(self._placed):
-            covered = _covered(surface, T_cam_world @ T_world_obj, camera)
-            if covered is None or _apart(covered, box):
-                continue
-            layer = self._layers.layer(surface, T_world_obj, camera, T_world_cam)
+            layer = self._layers.layer(surface, T_world_obj, camera, T_world_cam, near=box)
             if layer is None:
                 continue
             h, w = layer.depth.shape
             left, right = max(layer.x, x0), min(layer.x + w, x1 + 1)
             top, bottom = max(layer.y, y0), min(layer.y + h, y1 + 1)
+            if left >= right or top >= bottom:
+                continue
             among.append(i)
             here = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
             there = slice(top - layer.y, bottom - layer.y), slice(left - layer.x, right - layer.x)
@@ -232,10 +230,17 @@ class LayerStore:
         self._bytes = 0
 
     def layer(
-        self, surface: ObjectSurface, T_world_obj: SE3, camera: Camera, T_world_cam: SE3
+        self,
+        surface: ObjectSurface,
+        T_world_obj: SE3,
+        camera: Camera,
+        T_world_cam: SE3,
+        *,
+        near: tuple[int, int, int, int] | None = None,
     ) -> Layer | None:
         """The object in the camera image; None if it is out of view.
 
+        An object outside the box `near`, x0, y0, x1, y1 (inclusive), need not be cast: None, too.
         An object that reaches beside the camera is cast in the whole image.
         """
         poses = (T_world_obj.R, T_world_obj.t, T_world_cam.R, T_world_cam.t)
@@ -244,7 +249,11 @@ class LayerStore:
         if key in self._layers:
             self._layers.move_to_end(key)
             return self._layers[key]
-        layer = _cast(surface, T_world_obj, camera, T_world_cam)
+        T_cam_obj = T_world_cam.inverse() @ T_world_obj
+        covered = _covered(surface, T_cam_obj, camera)
+        if covered is not None and near is not None and _apart(covered, near):
+            return None
+        layer = None if covered is None else _cast(surface, T_world_obj, camera, T_cam_obj, covered)
         self._layers[key] = layer
         self._bytes += _size(layer)
         while self._bytes > _MOST_BYTES and len(self._layers) > 1:
@@ -274,12 +283,12 @@ def _apart(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
 
 
 def _cast(
-    surface: ObjectSurface, T_world_obj: SE3, camera: Camera, T_world_cam: SE3
-) -> Layer | None:
-    T_cam_obj = T_world_cam.inverse() @ T_world_obj
-    box = _covered(surface, T_cam_obj, camera)
-    if box is None:
-        return None
+    surface: ObjectSurface,
+    T_world_obj: SE3,
+    camera: Camera,
+    T_cam_obj: SE3,
+    box: tuple[int, int, int, int],
+) -> Layer:
     x0, y0, x1, y1 = box
     x = ((np.arange(x0, x1 + 1) - camera.cx) / camera.fx).astype(np.float32)
     y = ((np.arange(y0, y1 + 1) - camera.cy) / camera.fy).astype(np.float32)
