@@ -5,6 +5,7 @@ A crop is a colour patch, and points with their positions in the patch.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -96,6 +97,21 @@ class Crop(NamedTuple):
     chosen: Tensor
 
 
+class Placed(NamedTuple):
+    """How the square of a crop lies around a mask.
+
+    Attributes:
+        turn: of the square, radians, from x to y of the image. The crop is that of a camera turned
+            about its axis; its points are in that camera's frame.
+        margin: side over the longer side of the mask's box.
+        shift: of the middle, in sides.
+    """
+
+    turn: float = 0.0
+    margin: float = _MARGIN
+    shift: tuple[float, float] = (0.0, 0.0)
+
+
 def crop_object(
     color: Tensor,
     depth: Tensor,
@@ -105,19 +121,21 @@ def crop_object(
     side: int,
     points: int,
     generator: torch.Generator | None = None,
+    placed: Placed | None = None,
 ) -> Crop | None:
     """Cut an object out: a square around its mask, and points drawn from its pixels with depth.
 
     No point is drawn twice before all were drawn once.
 
     Args:
-        color: (3, h, w) RGB in [0, 1].
+        color: (3, h, w) RGB in [0, 1], or more channels.
         depth: (h, w) metres, 0 where there is none.
         mask: (h, w) bool pixels of the object.
         K: (3, 3) intrinsics.
         side: of the patch, pixels.
         points: how many.
         generator: of the draw, on the CPU; torch's global one by default.
+        placed: how the square lies; upright around the mask by default.
 
     Returns:
         None if fewer than `LEAST_PIXELS` pixels have depth.
@@ -130,12 +148,14 @@ def crop_object(
     order = torch.cat([torch.randperm(len(there), generator=generator) for _ in range(rounds)])
     chosen = there[order[:points].to(there.device)]
     row, column = chosen // w, chosen % w
-    top, left, size = _square(mask)
-    # The middle of pixel (u, v) of the image is at (u + 0.5 - left) / size of the patch.
+    placed = placed or Placed()
+    middle, size = _square(mask, placed)
+    c, r = math.cos(placed.turn) * size, math.sin(placed.turn) * size
+    # From [-1, 1] in the patch to [-1, 1] in the image.
     theta = torch.tensor(
         [
-            [size / w, 0.0, (2 * left + size) / w - 1],
-            [0.0, size / h, (2 * top + size) / h - 1],
+            [c / w, -r / w, 2 * middle[0] / w - 1],
+            [r / h, c / h, 2 * middle[1] / h - 1],
         ],
         device=color.device,
     )
@@ -144,9 +164,16 @@ def crop_object(
     z = depth.flatten()[chosen].float()
     x = (column - K[0, 2]) * z / K[0, 0]
     y = (row - K[1, 2]) * z / K[1, 1]
-    at_row = ((row + 0.5 - top) * side / size).floor().long().clamp(0, side - 1)
-    at_column = ((column + 0.5 - left) * side / size).floor().long().clamp(0, side - 1)
+    x, y = _turned(x, y, -placed.turn)
+    right, down = _turned(column + 0.5 - middle[0], row + 0.5 - middle[1], -placed.turn)
+    at_row = ((down + size / 2) * side / size).floor().long().clamp(0, side - 1)
+    at_column = ((right + size / 2) * side / size).floor().long().clamp(0, side - 1)
     return Crop(patch, torch.stack([x, y, z], dim=1), at_row * side + at_column, chosen)
+
+
+def with_mask(color: Tensor, mask: Tensor) -> Tensor:
+    """(4, h, w) colour (3, h, w), and the mask (h, w) as 0 and 1."""
+    return torch.cat([color, mask[None].to(color.dtype)])
 
 
 def stacked(crops: list[Crop]) -> Crop:
@@ -154,10 +181,22 @@ def stacked(crops: list[Crop]) -> Crop:
     return Crop(*(torch.stack(list(part)) for part in zip(*crops, strict=True)))
 
 
-def _square(mask: Tensor) -> tuple[float, float, float]:
-    """Top, left and side of the square around a mask; it may reach beyond the image."""
-    rows, columns = mask.any(dim=1).nonzero()[:, 0], mask.any(dim=0).nonzero()[:, 0]
-    top, bottom = int(rows[0]), int(rows[-1]) + 1
-    left, right = int(columns[0]), int(columns[-1]) + 1
-    size = _MARGIN * max(bottom - top, right - left)
-    return (top + bottom - size) / 2, (left + right - size) / 2, size
+def _turned(x: Tensor, y: Tensor, angle: float) -> tuple[Tensor, Tensor]:
+    """x and y turned by an angle, radians, from x to y."""
+    if angle == 0:
+        return x, y
+    c, s = math.cos(angle), math.sin(angle)
+    return c * x - s * y, s * x + c * y
+
+
+def _square(mask: Tensor, placed: Placed) -> tuple[tuple[float, float], float]:
+    """Middle (x, y) and side of the square around a mask; it may reach beyond the image."""
+    rows, columns = mask.nonzero(as_tuple=True)
+    right, down = _turned(columns + 0.5, rows + 0.5, -placed.turn)
+    low = float(right.min()) - 0.5, float(down.min()) - 0.5
+    high = float(right.max()) + 0.5, float(down.max()) + 0.5
+    size = placed.margin * max(high[0] - low[0], high[1] - low[1])
+    x = (low[0] + high[0]) / 2 + placed.shift[0] * size
+    y = (low[1] + high[1]) / 2 + placed.shift[1] * size
+    c, s = math.cos(placed.turn), math.sin(placed.turn)
+    return (c * x - s * y, s * x + c * y), size

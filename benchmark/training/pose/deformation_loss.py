@@ -14,7 +14,7 @@ from torch.nn.functional import smooth_l1_loss
 from benchmark.data.frame import BACKGROUND
 from benchmark.methods.pointnet.chamfer import chamfer, one_way
 from benchmark.methods.pose.deformation import Deformed
-from benchmark.methods.pose.segmented import Crop, crop_object, stacked
+from benchmark.methods.pose.segmented import Crop, Placed, crop_object, stacked, with_mask
 from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.step import Batch, Loss
 from std_toolkit.errors import ToolkitError
@@ -109,6 +109,18 @@ def canonical(truth: ObjectTruth) -> ObjectTruth:
     return truth._replace(coordinates=truth.coordinates @ turn.transpose(1, 2))
 
 
+def facing(truth: ObjectTruth) -> ObjectTruth:
+    """Round objects turned about y such that +x is on the side of the camera."""
+    R = _rotations(truth).to(truth.coordinates.dtype)
+    weight = truth.known[..., None].to(truth.places.dtype)
+    middle = (truth.places * weight).sum(dim=1) / weight.sum(dim=1).clamp(min=1)
+    toward = -(R.transpose(1, 2) @ middle[..., None])[..., 0]
+    # `about_y` of the angle takes the direction to the camera to +x.
+    angle = torch.atan2(toward[:, 2], toward[:, 0])
+    turn = about_y(torch.where(truth.turned, angle, 0.0))
+    return truth._replace(coordinates=truth.coordinates @ turn.transpose(1, 2))
+
+
 def about_y(angle: Tensor) -> Tensor:
     """(b, 3, 3) rotations about y by angles (b,)."""
     c, s, o = angle.cos(), angle.sin(), torch.zeros_like(angle)
@@ -175,6 +187,8 @@ def objects_of(
     points: int,
     one_each: bool,
     generators: Callable[[], torch.Generator | None] = lambda: None,
+    placed: Callable[[], Placed | None] = lambda: None,
+    masked: bool = False,
     classes: PoseClasses | None = None,
 ) -> Objects | None:
     """Cut objects out of frames.
@@ -187,6 +201,8 @@ def objects_of(
         side, points: of a crop.
         one_each: one object of each frame, drawn by torch's global generator, as published; or all.
         generators: makes the generator of each object's points; torch's global one by default.
+        placed: how each object's square lies; upright around the mask by default.
+        masked: whether patches have the mask as their fourth channel.
         classes: which are round.
 
     Returns:
@@ -206,13 +222,14 @@ def objects_of(
         for number in ids:
             mask = batch["mask"][frame] == number
             crop = crop_object(
-                color[frame],
+                with_mask(color[frame], mask) if masked else color[frame],
                 depth[frame],
                 mask,
                 batch["K"][frame],
                 side=side,
                 points=points,
                 generator=generators(),
+                placed=placed(),
             )
             if crop is None:
                 continue
