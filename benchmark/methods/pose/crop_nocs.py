@@ -65,9 +65,9 @@ class CropNOCSConfig(CropConfig):
 
 PRESETS = {
     "published": CropNOCSConfig(),
-    "compact": CropNOCSConfig(side=64, widths=(40, 80, 160, 240), mask_preset="small"),
+    "compact": CropNOCSConfig(side=64, widths=(40, 80, 160, 160), mask_preset="small"),
 }
-PRESETS["small"] = replace(PRESETS["compact"], widths=(32, 64, 128, 192), blocks=(1, 2, 2, 1))
+PRESETS["small"] = replace(PRESETS["compact"], widths=(32, 64, 128, 128))
 
 
 class CropNOCSNetwork(CropNetwork):
