@@ -20,10 +20,13 @@ from benchmark.methods.network import narrow_type, parameter_count, torch_device
 from benchmark.methods.pose.fitting import FitMethod, FitOptions, fit_pose
 from benchmark.methods.pose.segmented import (
     Crop,
+    Placed,
     Segmented,
     crop_object,
+    longest_axis,
     stacked,
     true_segments,
+    turned_about_z,
     with_mask,
 )
 from benchmark.methods.protocol import Estimated, PoseView
@@ -96,12 +99,14 @@ class CropNetwork(nn.Module):
 
     Attributes:
         masked: whether the mask is a fourth channel of the colour.
+        aligned: whether crops are turned so that the longest axis of the mask is upright.
 
     Raises:
         ToolkitError: the side is not a multiple of 8.
     """
 
     masked = False
+    aligned = False
 
     def __init__(self, config: CropConfig) -> None:
         super().__init__()
@@ -128,7 +133,7 @@ class CropEstimator:
     def __init__(self, network: CropNetwork, options: MethodOptions) -> None:
         config = network.config
         self.config = config
-        self._masked = network.masked
+        self._masked, self._aligned = network.masked, network.aligned
         # Of the benchmark's classes: those of NOCS have a laptop in place of the car.
         self._places = {
             number: config.categories.index(name)
@@ -188,7 +193,7 @@ class CropEstimator:
                 zip(
                     answer.coordinates.double().cpu().numpy(),
                     answer.shape.double().cpu().numpy(),
-                    some.points.double().cpu().numpy(),
+                    turned_about_z(some.points.double(), -some.turn).cpu().numpy(),
                     strict=True,
                 )
             ):
@@ -224,6 +229,7 @@ class CropEstimator:
                 K,
                 side=self.config.side,
                 points=self.config.points,
+                placed=Placed(longest_axis(mask)) if self._aligned else None,
                 # The same draw for an object whatever else is in the batch.
                 generator=torch.Generator().manual_seed(0),
             )

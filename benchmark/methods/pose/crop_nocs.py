@@ -1,7 +1,8 @@
 """Crop NOCS: normalised coordinates of one object from its colour, mask and depth.
 
 A small convolutional network of our own. It sees the object's points centred and free of scale, so
-that neither distance nor size of an object must be learnt. Coordinates are chosen among bins
+that neither distance nor size of an object must be learnt, and crops with the longest axis of the
+mask upright. Coordinates are chosen among bins
 (Wang et al., CVPR 2019) and averaged over the best bin and its neighbours. Objects that are round
 about y have no front: +x of theirs is the side that faces the camera.
 """
@@ -65,7 +66,7 @@ class CropNOCSConfig(CropConfig):
 
 PRESETS = {
     "published": CropNOCSConfig(),
-    "compact": CropNOCSConfig(side=64, widths=(40, 80, 160, 160), mask_preset="small"),
+    "compact": CropNOCSConfig(side=48, points=640, widths=(40, 80, 160, 160), mask_preset="small"),
 }
 PRESETS["small"] = replace(PRESETS["compact"], widths=(32, 64, 128, 128))
 
@@ -78,6 +79,7 @@ class CropNOCSNetwork(CropNetwork):
     """
 
     masked = True
+    aligned = True
     config: CropNOCSConfig
 
     def __init__(self, config: CropNOCSConfig) -> None:

@@ -86,15 +86,17 @@ class Crop(NamedTuple):
 
     Attributes:
         color: (3, s, s) RGB in [0, 1].
-        points: (n, 3) metres in the camera frame.
+        points: (n, 3) metres in the frame of the turned camera.
         pixels: (n,) place of each point in the patch, row * s + column.
         chosen: (n,) place of each point in the image, row * width + column.
+        turn: () of the square, radians; points are in the frame of a camera turned so.
     """
 
     color: Tensor
     points: Tensor
     pixels: Tensor
     chosen: Tensor
+    turn: Tensor
 
 
 class Placed(NamedTuple):
@@ -168,7 +170,13 @@ def crop_object(
     right, down = _turned(column + 0.5 - middle[0], row + 0.5 - middle[1], -placed.turn)
     at_row = ((down + size / 2) * side / size).floor().long().clamp(0, side - 1)
     at_column = ((right + size / 2) * side / size).floor().long().clamp(0, side - 1)
-    return Crop(patch, torch.stack([x, y, z], dim=1), at_row * side + at_column, chosen)
+    return Crop(
+        patch,
+        torch.stack([x, y, z], dim=1),
+        at_row * side + at_column,
+        chosen,
+        color.new_tensor(placed.turn),
+    )
 
 
 def with_mask(color: Tensor, mask: Tensor) -> Tensor:
@@ -176,9 +184,33 @@ def with_mask(color: Tensor, mask: Tensor) -> Tensor:
     return torch.cat([color, mask[None].to(color.dtype)])
 
 
+def turned_about_z(points: Tensor, turn: Tensor) -> Tensor:
+    """Points (b, n, 3) of cameras in the frames of the cameras turned about their axes.
+
+    Args:
+        points: (b, n, 3).
+        turn: (b,) angles, radians, from x to y.
+    """
+    c, s, o = turn.cos(), turn.sin(), torch.zeros_like(turn)
+    rows = ((c, -s, o), (s, c, o), (o, o, o + 1))
+    R = torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+    return points @ R.to(points.dtype)
+
+
 def stacked(crops: list[Crop]) -> Crop:
     """Crops of one size as a batch."""
     return Crop(*(torch.stack(list(part)) for part in zip(*crops, strict=True)))
+
+
+def longest_axis(mask: Tensor) -> float:
+    """Angle of the longest axis of a mask from the image's y axis, radians in (-pi/2, pi/2].
+
+    A square turned by it has this axis upright.
+    """
+    rows, columns = mask.nonzero(as_tuple=True)
+    x, y = columns - columns.double().mean(), rows - rows.double().mean()
+    angle = 0.5 * math.atan2(2 * float((x * y).sum()), float((x * x).sum() - (y * y).sum()))
+    return angle - math.pi / 2 if angle > 0 else angle + math.pi / 2
 
 
 def _turned(x: Tensor, y: Tensor, angle: float) -> tuple[Tensor, Tensor]:

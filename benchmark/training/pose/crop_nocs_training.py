@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn.functional import log_softmax
 
 from benchmark.methods.pose.crop_nocs import BinnedCoordinates
-from benchmark.methods.pose.segmented import Placed
+from benchmark.methods.pose.segmented import Placed, longest_axis
 from benchmark.training.pose import deformation_loss
 from benchmark.training.pose.deformation_training import trained_depth
 from benchmark.training.step import Loss, ModelInput, StepInfo
@@ -33,12 +33,13 @@ class CropNOCSLoss:
             two bins belongs to both in part.
         box: weight of the error of the half sides, as a quantile of what is seen (of the whole
             object, frames tell no more).
-        turn: largest turn of a crop about the camera's axis, degrees either way.
+        turn: largest turn of a crop beside the one that aligns it, degrees either way. Half of
+            the crops are upside down.
     """
 
     bins: float = 1.0
     box: float = 2.0
-    turn: float = 180.0
+    turn: float = 20.0
 
     def __call__(self, answer: BinnedCoordinates, truth: deformation_loss.ObjectTruth) -> Loss:
         truth = deformation_loss.facing(truth)
@@ -95,7 +96,7 @@ def crop_nocs_step(
         side=config.side,
         points=config.points,
         one_each=False,
-        placed=lambda: _placed(loss.turn),
+        placed=lambda mask: _placed(mask, loss.turn),
         masked=True,
     )
     if found is None:
@@ -109,11 +110,12 @@ def crop_nocs_step(
     return Loss(total, {**parts, "objects": torch.tensor(float(len(found.frames)))})
 
 
-def _placed(turn: float) -> Placed:
-    draw = torch.rand(4).tolist()
+def _placed(mask: Tensor, turn: float) -> Placed:
+    draw = torch.rand(5).tolist()
     low, high = _MARGINS
+    angle = longest_axis(mask) + math.radians(turn) * (2 * draw[0] - 1)
     return Placed(
-        math.radians(turn) * (2 * draw[0] - 1),
+        angle + math.pi * round(draw[4]),
         low + (high - low) * draw[1],
         (_SHIFT * (2 * draw[2] - 1), _SHIFT * (2 * draw[3] - 1)),
     )

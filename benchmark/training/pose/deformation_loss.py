@@ -14,7 +14,14 @@ from torch.nn.functional import smooth_l1_loss
 from benchmark.data.frame import BACKGROUND
 from benchmark.methods.pointnet.chamfer import chamfer, one_way
 from benchmark.methods.pose.deformation import Deformed
-from benchmark.methods.pose.segmented import Crop, Placed, crop_object, stacked, with_mask
+from benchmark.methods.pose.segmented import (
+    Crop,
+    Placed,
+    crop_object,
+    stacked,
+    turned_about_z,
+    with_mask,
+)
 from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.step import Batch, Loss
 from std_toolkit.errors import ToolkitError
@@ -30,7 +37,7 @@ class ObjectTruth(NamedTuple):
 
     Attributes:
         coordinates: (b, n, 3) true normalised coordinates of the points, the middle at 0.
-        places: (b, n, 3) where these points truly are in the camera frame, metres.
+        places: (b, n, 3) where these points truly are in the frame of the crop's points, metres.
         known: (b, n) bool points with both.
         turned: (b,) bool objects that look the same after any turn about y.
     """
@@ -187,7 +194,7 @@ def objects_of(
     points: int,
     one_each: bool,
     generators: Callable[[], torch.Generator | None] = lambda: None,
-    placed: Callable[[], Placed | None] = lambda: None,
+    placed: Callable[[Tensor], Placed | None] = lambda mask: None,  # noqa: ARG005
     masked: bool = False,
     classes: PoseClasses | None = None,
 ) -> Objects | None:
@@ -201,7 +208,7 @@ def objects_of(
         side, points: of a crop.
         one_each: one object of each frame, drawn by torch's global generator, as published; or all.
         generators: makes the generator of each object's points; torch's global one by default.
-        placed: how each object's square lies; upright around the mask by default.
+        placed: how the square of an object's mask lies; upright around it by default.
         masked: whether patches have the mask as their fourth channel.
         classes: which are round.
 
@@ -229,7 +236,7 @@ def objects_of(
                 side=side,
                 points=points,
                 generator=generators(),
-                placed=placed(),
+                placed=placed(mask),
             )
             if crop is None:
                 continue
@@ -247,8 +254,10 @@ def objects_of(
     device = color.device
     coordinates, places, known = (torch.stack(part) for part in zip(*truths, strict=True))
     turned = [classes.names[n] in classes.round_about_y for n in numbers]
+    crop = stacked(crops)
+    places = turned_about_z(places, crop.turn)
     return Objects(
-        stacked(crops),
+        crop,
         torch.tensor(numbers, device=device) - 1,
         ObjectTruth(coordinates, places, known, torch.tensor(turned, device=device)),
         frames,

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from benchmark.methods.pose.crop_estimator import CropConfig
 from benchmark.methods.pose.deformation import Deformed
+from benchmark.methods.pose.segmented import Placed, longest_axis
 from benchmark.training.pose import deformation_loss
 from benchmark.training.pose.restored_points import restored_depth
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, model_input
@@ -127,6 +128,7 @@ def _objects(
         points=config.points,
         one_each=one_each,
         masked=network.masked,  # type: ignore[arg-type]
+        placed=lambda mask: Placed(longest_axis(mask)) if network.aligned else None,
         generators=_none if one_each else _same,
     )
 

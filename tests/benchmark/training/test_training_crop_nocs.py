@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmark.methods.pose.crop_nocs import PRESETS, CropNOCSNetwork, decoded, points_in
-from benchmark.methods.pose.segmented import Placed, crop_object
+from benchmark.methods.pose.segmented import Placed, crop_object, turned_about_z
 from benchmark.methods.registry import MethodOptions, configured, make_pose_method
 from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import get_trainable
@@ -53,6 +53,8 @@ def test_a_turned_crop_is_that_of_a_turned_camera():
     c, s = math.cos(0.7), math.sin(0.7)
     R = torch.tensor([[c, s, 0], [-s, c, 0], [0, 0, 1]])
     torch.testing.assert_close(crop.points, upright.points @ R.T)
+    back = turned_about_z(crop.points[None], -crop.turn[None])
+    torch.testing.assert_close(back[0], upright.points)
     # The pixel of a point in the patch shows the colour that it has in the image.
     patch = (crop.color.flatten(1)[:, crop.pixels] * 255).T.numpy()
     image = view.color.reshape(-1, 3)[crop.chosen]
