@@ -10,7 +10,7 @@ about y have no front: +x of theirs is the side that faces the camera.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -61,6 +61,7 @@ class CropNOCSConfig(CropConfig):
     bins: int = 32
     side: int = 128
     points: int = 1024
+    trained_on: Literal["raw", "true", "restored", "mixed"] = "mixed"
     masks: str = "swindrnet-nocs"
 
 

@@ -191,10 +191,10 @@ def turned_about_z(points: Tensor, turn: Tensor) -> Tensor:
         points: (b, n, 3).
         turn: (b,) angles, radians, from x to y.
     """
-    c, s, o = turn.cos(), turn.sin(), torch.zeros_like(turn)
-    rows = ((c, -s, o), (s, c, o), (o, o, o + 1))
-    R = torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
-    return points @ R.to(points.dtype)
+    # Products of matrices would be those of half precision in training.
+    c, s = turn.cos()[:, None].to(points.dtype), turn.sin()[:, None].to(points.dtype)
+    x, y, z = points.unbind(dim=2)
+    return torch.stack([c * x + s * y, c * y - s * x, z], dim=2)
 
 
 def stacked(crops: list[Crop]) -> Crop:
