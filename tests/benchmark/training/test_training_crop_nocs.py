@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmark.methods.pose.crop_nocs import PRESETS, CropNOCSNetwork, decoded, points_in
-from benchmark.methods.pose.segmented import Placed, crop_object, turned_about_z
+from benchmark.methods.pose.segmented import Placed, crop_object, longest_axis, turned_about_z
 from benchmark.methods.registry import MethodOptions, configured, make_pose_method
 from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import get_trainable
@@ -137,8 +137,13 @@ def test_mixed_depth_is_true_for_some_frames():
 def test_a_step_gives_every_parameter_a_gradient():
     trainable, network = get_trainable("crop-nocs"), _network()
     batch = batch_of([view_of_boxes(boxes_of(seed)) for seed in (1, 2, 3)])
+    torch.manual_seed(0)
     loss = crop_nocs_step(network, trainable.loss, model_input(batch), StepInfo())
     loss.total.backward()
+    torch.manual_seed(0)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        narrow = crop_nocs_step(network, trainable.loss, model_input(batch), StepInfo())
+    assert narrow.total.item() == pytest.approx(loss.total.item(), rel=0.02)
     idle = [n for n, p in network.named_parameters() if p.grad is None or not p.grad.any()]
     assert idle == [] and loss.parts["objects"] == 6
     batch["mask"].fill_(255)
@@ -186,3 +191,22 @@ def test_a_network_that_knows_its_frames_finds_their_poses(tmp_path):
         sides = scale * prediction.sizes[k]
         assert np.abs(sides / (true_scale * 2 * box.half) - 1).max() < 0.25
         assert (answer.masks[k] == (view.truth.mask == k + 1)).all()
+
+
+def test_crops_are_turned_so_that_the_longest_axis_is_upright():
+    """Whatever way a bar lies, its crop is the same; poses are told in the camera's frame."""
+    v, u = torch.meshgrid(torch.arange(90.0), torch.arange(120.0), indexing="ij")
+    K = torch.tensor([[90.0, 0, 60], [0, 90, 45], [0, 0, 1]])
+    for degrees in (-80, -30, 0, 10, 89):
+        angle = math.radians(degrees)
+        along = math.cos(angle) * (v - 45) - math.sin(angle) * (u - 60)
+        across = math.sin(angle) * (v - 45) + math.cos(angle) * (u - 60)
+        mask = (along.abs() < 35) & (across.abs() < 7)
+        turn = longest_axis(mask)
+        assert math.degrees(turn) == pytest.approx(degrees, abs=0.5)
+        color = mask[None].float().expand(3, -1, -1)
+        crop = crop_object(
+            color, torch.ones(90, 120), mask, K, side=48, points=99, placed=Placed(turn)
+        )
+        rows, columns = (crop.color[0] > 0.5).nonzero(as_tuple=True)
+        assert rows.max() - rows.min() > 40 and columns.max() - columns.min() < 11
