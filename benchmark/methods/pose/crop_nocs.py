@@ -127,6 +127,24 @@ class CropNOCSNetwork(CropNetwork):
             pixels: (b, n) place of each point in the patch.
             category: (b,) place of its category in the configuration's.
         """
+        if self.training:
+            logits, box = self._answer(color, points, pixels, category)
+        else:
+            # The same crop upside down has the same answers.
+            over = points * points.new_tensor([-1.0, -1.0, 1.0])
+            last = color.shape[-1] ** 2 - 1
+            twice = (
+                self._answer(color, points, pixels, category),
+                self._answer(color.flip(2, 3), over, last - pixels, category),
+            )
+            logits, box = (torch.stack(pair).mean(dim=0) for pair in zip(*twice, strict=True))
+        half = _HALF * box.sigmoid()
+        return BinnedCoordinates(logits, decoded(logits), half, torch.stack([half, -half], dim=1))
+
+    def _answer(
+        self, color: Tensor, points: Tensor, pixels: Tensor, category: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Logits (b, 3, bins, n) of the bins, and of the half sides (b, 3)."""
         config, side = self.config, color.shape[-1] // 2
         x = self.color(2 * color - 1)
         kind = one_hot(category, len(config.categories)).to(x.dtype)
@@ -138,13 +156,11 @@ class CropNOCSNetwork(CropNetwork):
             x = layer(x)
             levels.append(x)
         whole = relu(self.whole(torch.cat([x.mean(dim=(2, 3)), kind], dim=1)))
-        half = _HALF * self.box(whole).float().sigmoid()
         x = x + whole[:, :, None, None]
         for layer, beside in zip(self.up, reversed(levels[:-1]), strict=True):
             x = layer(torch.cat([interpolate(x, scale_factor=2.0), beside], dim=1))
         logits = at(self.bins(x).flatten(2), cells_of(pixels, side)).float()
-        logits = logits.unflatten(1, (AXES, config.bins))
-        return BinnedCoordinates(logits, decoded(logits), half, torch.stack([half, -half], dim=1))
+        return logits.unflatten(1, (AXES, config.bins)), self.box(whole).float()
 
 
 def points_in(points: Tensor, pixels: Tensor, side: int) -> Tensor:
