@@ -38,6 +38,7 @@ pose_methods: Registry[PoseMethodFactory] = Registry(
         "gt-nocs": "benchmark.methods.pose.ground_truth:GroundTruthNOCS",
         "swindrnet-nocs": "benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs:SwinDRNetNOCS",
         "nocs": "benchmark.methods.pose.nocs.nocs:NOCS",
+        "crop-nocs": "benchmark.methods.pose.crop_nocs:CropNOCS",
         "spd": "benchmark.methods.pose.spd:SPD",
         "sgpa": "benchmark.methods.pose.sgpa:SGPA",
     },

@@ -47,6 +47,7 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a Swin backbone", ("patch_embed.", "layers.")),
     ("a Swin of transformers", ("swin.embeddings.patch_embeddings.",)),
     ("a Swin of transformers", ("embeddings.patch_embeddings.", "encoder.layers.")),
+    ("Crop NOCS", ("joined.", "down.", "bins.")),
     ("NOCS", ("pyramid.backbone.", "detector.", "coordinate_heads.")),
     ("SGPA", ("structure.weigh.", "heads.assign.")),
     ("SGPA of its authors", ("prior_enricher.", "psp.feats.", "assignment.")),

@@ -99,6 +99,7 @@ trainables: Registry[Trainable] = Registry(
         "graspnet": "benchmark.training.grasp.grasp_catalogue:GRASPNET_TRAINING",
         "swindrnet-nocs": "benchmark.training.pose.pose_catalogue:SWINDRNET_NOCS_TRAINING",
         "nocs": "benchmark.training.pose.pose_catalogue:NOCS_TRAINING",
+        "crop-nocs": "benchmark.training.pose.pose_catalogue:CROP_NOCS_TRAINING",
         "spd": "benchmark.training.pose.pose_catalogue:SPD_TRAINING",
         "sgpa": "benchmark.training.pose.pose_catalogue:SGPA_TRAINING",
     },

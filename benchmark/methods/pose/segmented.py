@@ -5,6 +5,7 @@ A crop is a colour patch, and points with their positions in the patch.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -85,15 +86,32 @@ class Crop(NamedTuple):
 
     Attributes:
         color: (3, s, s) RGB in [0, 1].
-        points: (n, 3) metres in the camera frame.
+        points: (n, 3) metres in the frame of the turned camera.
         pixels: (n,) place of each point in the patch, row * s + column.
         chosen: (n,) place of each point in the image, row * width + column.
+        turn: () of the square, radians; points are in the frame of a camera turned so.
     """
 
     color: Tensor
     points: Tensor
     pixels: Tensor
     chosen: Tensor
+    turn: Tensor
+
+
+class Placed(NamedTuple):
+    """How the square of a crop lies around a mask.
+
+    Attributes:
+        turn: of the square, radians, from x to y of the image. The crop is that of a camera turned
+            about its axis; its points are in that camera's frame.
+        margin: side over the longer side of the mask's box.
+        shift: of the middle, in sides.
+    """
+
+    turn: float = 0.0
+    margin: float = _MARGIN
+    shift: tuple[float, float] = (0.0, 0.0)
 
 
 def crop_object(
@@ -105,19 +123,21 @@ def crop_object(
     side: int,
     points: int,
     generator: torch.Generator | None = None,
+    placed: Placed | None = None,
 ) -> Crop | None:
     """Cut an object out: a square around its mask, and points drawn from its pixels with depth.
 
     No point is drawn twice before all were drawn once.
 
     Args:
-        color: (3, h, w) RGB in [0, 1].
+        color: (3, h, w) RGB in [0, 1], or more channels.
         depth: (h, w) metres, 0 where there is none.
         mask: (h, w) bool pixels of the object.
         K: (3, 3) intrinsics.
         side: of the patch, pixels.
         points: how many.
         generator: of the draw, on the CPU; torch's global one by default.
+        placed: how the square lies; upright around the mask by default.
 
     Returns:
         None if fewer than `LEAST_PIXELS` pixels have depth.
@@ -130,12 +150,14 @@ def crop_object(
     order = torch.cat([torch.randperm(len(there), generator=generator) for _ in range(rounds)])
     chosen = there[order[:points].to(there.device)]
     row, column = chosen // w, chosen % w
-    top, left, size = _square(mask)
-    # The middle of pixel (u, v) of the image is at (u + 0.5 - left) / size of the patch.
+    placed = placed or Placed()
+    middle, size = _square(mask, placed)
+    c, r = math.cos(placed.turn) * size, math.sin(placed.turn) * size
+    # From [-1, 1] in the patch to [-1, 1] in the image.
     theta = torch.tensor(
         [
-            [size / w, 0.0, (2 * left + size) / w - 1],
-            [0.0, size / h, (2 * top + size) / h - 1],
+            [c / w, -r / w, 2 * middle[0] / w - 1],
+            [r / h, c / h, 2 * middle[1] / h - 1],
         ],
         device=color.device,
     )
@@ -144,9 +166,35 @@ def crop_object(
     z = depth.flatten()[chosen].float()
     x = (column - K[0, 2]) * z / K[0, 0]
     y = (row - K[1, 2]) * z / K[1, 1]
-    at_row = ((row + 0.5 - top) * side / size).floor().long().clamp(0, side - 1)
-    at_column = ((column + 0.5 - left) * side / size).floor().long().clamp(0, side - 1)
-    return Crop(patch, torch.stack([x, y, z], dim=1), at_row * side + at_column, chosen)
+    x, y = _turned(x, y, -placed.turn)
+    right, down = _turned(column + 0.5 - middle[0], row + 0.5 - middle[1], -placed.turn)
+    at_row = ((down + size / 2) * side / size).floor().long().clamp(0, side - 1)
+    at_column = ((right + size / 2) * side / size).floor().long().clamp(0, side - 1)
+    return Crop(
+        patch,
+        torch.stack([x, y, z], dim=1),
+        at_row * side + at_column,
+        chosen,
+        color.new_tensor(placed.turn),
+    )
+
+
+def with_mask(color: Tensor, mask: Tensor) -> Tensor:
+    """(4, h, w) colour (3, h, w), and the mask (h, w) as 0 and 1."""
+    return torch.cat([color, mask[None].to(color.dtype)])
+
+
+def turned_about_z(points: Tensor, turn: Tensor) -> Tensor:
+    """Points (b, n, 3) of cameras in the frames of the cameras turned about their axes.
+
+    Args:
+        points: (b, n, 3).
+        turn: (b,) angles, radians, from x to y.
+    """
+    # Products of matrices would be those of half precision in training.
+    c, s = turn.cos()[:, None].to(points.dtype), turn.sin()[:, None].to(points.dtype)
+    x, y, z = points.unbind(dim=2)
+    return torch.stack([c * x + s * y, c * y - s * x, z], dim=2)
 
 
 def stacked(crops: list[Crop]) -> Crop:
@@ -154,10 +202,33 @@ def stacked(crops: list[Crop]) -> Crop:
     return Crop(*(torch.stack(list(part)) for part in zip(*crops, strict=True)))
 
 
-def _square(mask: Tensor) -> tuple[float, float, float]:
-    """Top, left and side of the square around a mask; it may reach beyond the image."""
-    rows, columns = mask.any(dim=1).nonzero()[:, 0], mask.any(dim=0).nonzero()[:, 0]
-    top, bottom = int(rows[0]), int(rows[-1]) + 1
-    left, right = int(columns[0]), int(columns[-1]) + 1
-    size = _MARGIN * max(bottom - top, right - left)
-    return (top + bottom - size) / 2, (left + right - size) / 2, size
+def longest_axis(mask: Tensor) -> float:
+    """Angle of the longest axis of a mask from the image's y axis, radians in (-pi/2, pi/2].
+
+    A square turned by it has this axis upright.
+    """
+    rows, columns = mask.nonzero(as_tuple=True)
+    x, y = columns - columns.double().mean(), rows - rows.double().mean()
+    angle = 0.5 * math.atan2(2 * float((x * y).sum()), float((x * x).sum() - (y * y).sum()))
+    return angle - math.pi / 2 if angle > 0 else angle + math.pi / 2
+
+
+def _turned(x: Tensor, y: Tensor, angle: float) -> tuple[Tensor, Tensor]:
+    """x and y turned by an angle, radians, from x to y."""
+    if angle == 0:
+        return x, y
+    c, s = math.cos(angle), math.sin(angle)
+    return c * x - s * y, s * x + c * y
+
+
+def _square(mask: Tensor, placed: Placed) -> tuple[tuple[float, float], float]:
+    """Middle (x, y) and side of the square around a mask; it may reach beyond the image."""
+    rows, columns = mask.nonzero(as_tuple=True)
+    right, down = _turned(columns + 0.5, rows + 0.5, -placed.turn)
+    low = float(right.min()) - 0.5, float(down.min()) - 0.5
+    high = float(right.max()) + 0.5, float(down.max()) + 0.5
+    size = placed.margin * max(high[0] - low[0], high[1] - low[1])
+    x = (low[0] + high[0]) / 2 + placed.shift[0] * size
+    y = (low[1] + high[1]) / 2 + placed.shift[1] * size
+    c, s = math.cos(placed.turn), math.sin(placed.turn)
+    return (c * x - s * y, s * x + c * y), size

@@ -18,7 +18,8 @@ from torch import Tensor, nn
 
 from benchmark.methods.network import network_of
 from benchmark.methods.pointnet.layers import FeaturePropagation, Scale, SetAbstraction, SharedMLP
-from benchmark.methods.pose import deformation, spd, spd_network
+from benchmark.methods.pose import deformation, spd_network
+from benchmark.methods.pose.crop_estimator import CropEstimator
 from benchmark.methods.pose.released_keys import sgpa_state
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
@@ -271,7 +272,7 @@ class Adaptation(nn.Module):
         return torch.cat([prior, color.transpose(1, 2)], dim=1)
 
 
-class SGPA(spd.DeformingEstimator):
+class SGPA(CropEstimator):
     """A prior adapted to the structure of the object and deformed; settings are those of
     `SGPAConfig`.
 

@@ -27,11 +27,11 @@ from torch.nn.functional import interpolate, relu
 
 from benchmark.methods.pointnet.grouping import at
 from benchmark.methods.pointnet.layers import SharedMLP
+from benchmark.methods.pose.crop_estimator import CropConfig, CropNetwork
 from benchmark.methods.pose.deformation import Deformed, Deformer
 from benchmark.methods.pose.priors.prior_file import Priors, load_priors
 from benchmark.methods.resnet import residual_layer
 from benchmark.methods.weights import check_keys, read_weights
-from benchmark.metrics.pose.pose_protocol import DREDS_CLASSES
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.foreign_files import read_npy
 
@@ -43,16 +43,13 @@ _COUNT = "num_batches_tracked"  # missing in older files, and without meaning he
 
 
 @dataclass(frozen=True, kw_only=True)
-class PriorNetworkConfig:
-    """What networks that deform a prior share.
+class PriorNetworkConfig(CropConfig):
+    """What networks that deform a prior share, beside `CropConfig`.
 
     Attributes:
         form: `released` or `normalised`, see above.
-        categories: names, in the order of the weights.
         priors: file of priors, `builtin`, or the authors' .npy file in the order of the categories.
         prior_points: of a prior.
-        side: of the patch of colour, pixels; a multiple of 8.
-        points: of an object.
         color_width, color_blocks, color_decoder: see `PatchFeatures`.
         color: channels of the colour features of a point.
         geometry: channels of the geometry features of a point.
@@ -61,23 +58,11 @@ class PriorNetworkConfig:
         centred: whether points are moved so that their mean is at 0, and divided by their mean
             distance from it. As published they are in metres in the camera frame, so that a network
             must learn places that it was never shown.
-        input_size: (width, height) of the frames that patches are cut out of.
-        trained_on: depth that the points of training come from.
-        restorer, restorer_weights: of `trained_on=restored`; by default the weights that ship.
-        masks: whose masks objects are cut out by: a pose method that segments, such as `nocs`, or
-            `true` for those of the ground truth.
-        mask_preset, mask_weights: of that method; by default the weights that come with it.
-        fit: `ransac` with a metric threshold, or `paper`: least squares over all points.
-        threshold_m: largest distance of an inlier, metres.
-        last: last fit of `ransac`, see `FitOptions`.
     """
 
     form: Literal["released", "normalised"] = "released"
-    categories: tuple[str, ...] = DREDS_CLASSES[1:]
     priors: str = "builtin"
     prior_points: int = 1024
-    side: int = 192
-    points: int = 1024
     color_width: int = 64
     color_blocks: tuple[int, ...] = (2, 2, 2, 2)
     color_decoder: tuple[int, ...] = (256, 64, 64, 32)
@@ -86,16 +71,6 @@ class PriorNetworkConfig:
     width: int = 1024
     hidden: tuple[int, ...] = (512, 256)
     centred: bool = False
-    input_size: tuple[int, int] = (640, 360)
-    trained_on: Literal["raw", "true", "restored"] = "raw"
-    restorer: str = "swindrnet"
-    restorer_weights: str | None = None
-    masks: str = "nocs"
-    mask_preset: str = "published"
-    mask_weights: str | None = None
-    fit: Literal["ransac", "paper"] = "ransac"
-    threshold_m: float = 0.02
-    last: Literal["tukey", "inliers"] = "tukey"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +103,7 @@ PRESETS["small"] = replace(
 )
 
 
-class PriorNetwork(nn.Module):
+class PriorNetwork(CropNetwork):
     """What knows the priors and sees objects as the configuration says.
 
     Raises:
@@ -138,8 +113,8 @@ class PriorNetwork(nn.Module):
     prior: Tensor
 
     def __init__(self, config: PriorNetworkConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
+        self.config: PriorNetworkConfig = config
         points = _priors_of(config)
         if points.shape[1] != config.prior_points:
             raise ToolkitError(
@@ -147,8 +122,6 @@ class PriorNetwork(nn.Module):
                 field="prior_points",
                 value=config.prior_points,
             )
-        if config.side % 8:
-            raise ToolkitError("must be a multiple of 8", field="side", value=config.side)
         # Kept with the weights: another prior would be another network.
         self.register_buffer("prior", torch.from_numpy(points))
 

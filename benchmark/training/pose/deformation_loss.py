@@ -14,7 +14,14 @@ from torch.nn.functional import smooth_l1_loss
 from benchmark.data.frame import BACKGROUND
 from benchmark.methods.pointnet.chamfer import chamfer, one_way
 from benchmark.methods.pose.deformation import Deformed
-from benchmark.methods.pose.segmented import Crop, crop_object, stacked
+from benchmark.methods.pose.segmented import (
+    Crop,
+    Placed,
+    crop_object,
+    stacked,
+    turned_about_z,
+    with_mask,
+)
 from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.step import Batch, Loss
 from std_toolkit.errors import ToolkitError
@@ -30,7 +37,7 @@ class ObjectTruth(NamedTuple):
 
     Attributes:
         coordinates: (b, n, 3) true normalised coordinates of the points, the middle at 0.
-        places: (b, n, 3) where these points truly are in the camera frame, metres.
+        places: (b, n, 3) where these points truly are in the frame of the crop's points, metres.
         known: (b, n) bool points with both.
         turned: (b,) bool objects that look the same after any turn about y.
     """
@@ -109,6 +116,18 @@ def canonical(truth: ObjectTruth) -> ObjectTruth:
     return truth._replace(coordinates=truth.coordinates @ turn.transpose(1, 2))
 
 
+def facing(truth: ObjectTruth) -> ObjectTruth:
+    """Round objects turned about y such that +x is on the side of the camera."""
+    R = _rotations(truth).to(truth.coordinates.dtype)
+    weight = truth.known[..., None].to(truth.places.dtype)
+    middle = (truth.places * weight).sum(dim=1) / weight.sum(dim=1).clamp(min=1)
+    toward = -(R.transpose(1, 2) @ middle[..., None])[..., 0]
+    # `about_y` of the angle takes the direction to the camera to +x.
+    angle = torch.atan2(toward[:, 2], toward[:, 0])
+    turn = about_y(torch.where(truth.turned, angle, 0.0))
+    return truth._replace(coordinates=truth.coordinates @ turn.transpose(1, 2))
+
+
 def about_y(angle: Tensor) -> Tensor:
     """(b, 3, 3) rotations about y by angles (b,)."""
     c, s, o = angle.cos(), angle.sin(), torch.zeros_like(angle)
@@ -175,6 +194,8 @@ def objects_of(
     points: int,
     one_each: bool,
     generators: Callable[[], torch.Generator | None] = lambda: None,
+    placed: Callable[[Tensor], Placed | None] = lambda mask: None,  # noqa: ARG005
+    masked: bool = False,
     classes: PoseClasses | None = None,
 ) -> Objects | None:
     """Cut objects out of frames.
@@ -187,6 +208,8 @@ def objects_of(
         side, points: of a crop.
         one_each: one object of each frame, drawn by torch's global generator, as published; or all.
         generators: makes the generator of each object's points; torch's global one by default.
+        placed: how the square of an object's mask lies; upright around it by default.
+        masked: whether patches have the mask as their fourth channel.
         classes: which are round.
 
     Returns:
@@ -206,13 +229,14 @@ def objects_of(
         for number in ids:
             mask = batch["mask"][frame] == number
             crop = crop_object(
-                color[frame],
+                with_mask(color[frame], mask) if masked else color[frame],
                 depth[frame],
                 mask,
                 batch["K"][frame],
                 side=side,
                 points=points,
                 generator=generators(),
+                placed=placed(mask),
             )
             if crop is None:
                 continue
@@ -230,8 +254,10 @@ def objects_of(
     device = color.device
     coordinates, places, known = (torch.stack(part) for part in zip(*truths, strict=True))
     turned = [classes.names[n] in classes.round_about_y for n in numbers]
+    crop = stacked(crops)
+    places = turned_about_z(places, crop.turn)
     return Objects(
-        stacked(crops),
+        crop,
         torch.tensor(numbers, device=device) - 1,
         ObjectTruth(coordinates, places, known, torch.tensor(turned, device=device)),
         frames,

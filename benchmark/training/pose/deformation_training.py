@@ -1,4 +1,4 @@
-"""Training and validation of SPD and SGPA on object crops."""
+"""Training of SPD and SGPA on object crops, and validation of all networks over crops."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from benchmark.methods.pose.crop_estimator import CropConfig
 from benchmark.methods.pose.deformation import Deformed
+from benchmark.methods.pose.segmented import Placed, longest_axis
 from benchmark.training.pose import deformation_loss
 from benchmark.training.pose.restored_points import restored_depth
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, model_input
@@ -18,6 +20,8 @@ from benchmark.training.validation import Context, Validator
 
 # An error of a coordinate that a fit by RANSAC with its metric threshold can use: 2 cm of 20.
 _NEAR = 0.1
+
+_TRUE = 0.4  # of the frames, their depth is true where it is mixed
 
 
 def deformation_step(
@@ -115,20 +119,42 @@ def _objects(
     network: nn.Module, inputs: ModelInput, *, one_each: bool
 ) -> deformation_loss.Objects | None:
     config = _config(network)
-    if config.trained_on == "restored":
-        depth = restored_depth(inputs, config.restorer, config.restorer_weights)
-    else:
-        depth = inputs.depth[:, 0] if config.trained_on == "raw" else inputs.batch["true"]
     return deformation_loss.objects_of(
         inputs.color,
-        depth,
+        trained_depth(config, inputs, drawn=one_each),
         inputs.batch,
         categories=len(config.categories),
         side=config.side,
         points=config.points,
         one_each=one_each,
+        masked=network.masked,  # type: ignore[arg-type]
+        placed=lambda mask: Placed(longest_axis(mask)) if network.aligned else None,
         generators=_none if one_each else _same,
     )
+
+
+def trained_depth(config: CropConfig, inputs: ModelInput, *, drawn: bool) -> Tensor:
+    """(b, h, w) metres: the depth that points of a batch come from.
+
+    Args:
+        config: which depth the network is trained on.
+        inputs: the batch.
+        drawn: whether `mixed` draws true depth for some frames; else it is raw depth.
+
+    Raises:
+        ToolkitError: the restorer cannot be made.
+    """
+    raw = inputs.depth[:, 0]
+    match config.trained_on:
+        case "restored":
+            return restored_depth(inputs, config.restorer, config.restorer_weights)
+        case "true":
+            return inputs.batch["true"]
+        case "mixed" if drawn:
+            true = torch.rand(len(raw), 1, 1, device=raw.device) < _TRUE
+            return torch.where(true, inputs.batch["true"], raw)
+        case _:
+            return raw
 
 
 def _config(network: nn.Module) -> Any:

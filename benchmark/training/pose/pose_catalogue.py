@@ -6,6 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from benchmark.methods.depth.swindrnet.swindrnet import begin_streams
+from benchmark.methods.pose.crop_nocs import PRESETS as CROP_NOCS
+from benchmark.methods.pose.crop_nocs import CropNOCSNetwork
 from benchmark.methods.pose.nocs.nocs import NOCSNetwork
 from benchmark.methods.pose.nocs.nocs_backbone import PRESETS as NOCS
 from benchmark.methods.pose.nocs.nocs_backbone import load_imagenet as load_resnet
@@ -20,10 +22,28 @@ from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
 from benchmark.training.packed_frames import fitting_frames_with_nocs
 from benchmark.training.pose import (
+    crop_nocs_training,
     deformation_loss,
     deformation_training,
     nocs_losses,
     nocs_training,
+)
+
+CROP_NOCS_TRAINING = Trainable(
+    presets=CROP_NOCS,
+    network=CropNOCSNetwork,
+    loss=crop_nocs_training.CropNOCSLoss(),
+    step=crop_nocs_training.crop_nocs_step,
+    validator=deformation_training.DeformationValidator,
+    optimization=Optimization(
+        learning_rate=1e-3,
+        weight_decay=0.01,
+        batch_size=8,
+        epochs=30,
+        decay="linear",
+        warmup_steps=100,
+    ),
+    colors=True,
 )
 
 SPD_TRAINING = Trainable(

@@ -103,7 +103,15 @@ _COMPACT = SwinNOCSConfig(
 PRESETS = {
     "published": SwinNOCSConfig(),
     "compact": _COMPACT,
-    "small": replace(_COMPACT, channels=16, head_channels=32, drop_path=0.0, dropout=0.0),
+    "small": replace(
+        _COMPACT,
+        channels=16,
+        head_channels=32,
+        drop_path=0.0,
+        dropout=0.0,
+        instances="piece",
+        least_pixels=20,
+    ),
 }
 
 

@@ -11,9 +11,11 @@ from network_cases import frames
 
 from benchmark.cli.bench import main as bench
 from benchmark.evaluation.tasks.depth_results import read_results
+from benchmark.evaluation.tasks.pose_results import read_pose_results, score_run
 from benchmark.methods.protocol import View
 from benchmark.methods.registry import SHIPPED, MethodOptions, make_restorer, restorers, sha256_of
 from benchmark.methods.weights import read_weights
+from benchmark.metrics.pose import get_pose_protocol
 from benchmark.report.leaderboard import make_board
 from std_toolkit.geometry.camera import Camera
 
@@ -21,6 +23,7 @@ FILES = sorted(SHIPPED.glob("*.safetensors"))
 METHODS = [
     name for path in FILES if (name := path.stem.removesuffix("-compact")) in restorers.names()
 ]
+POSES = ("crop-nocs-compact", "swindrnet-nocs-small")
 _MB = 10**6
 
 
@@ -28,6 +31,11 @@ def test_what_is_shipped_is_small_enough():
     assert "swindrnet" in METHODS
     sizes = [path.stat().st_size for path in FILES]
     assert max(sizes) <= 30 * _MB and sum(sizes) <= 60 * _MB
+
+
+def test_pose_networks_are_small_enough():
+    sizes = [SHIPPED.joinpath(f"{name}.safetensors").stat().st_size for name in POSES]
+    assert sum(sizes) <= 10 * _MB
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -81,3 +89,23 @@ def test_on_real_captures_of_glass_they_are_better_than_the_sensor(test_data: Pa
     for other in ("nearest", "colorization"):  # 42 mm against 53 and 49, 60 % against 56 and 50
         assert rmse["swindrnet"] < 0.9 * rmse[other], rmse
         assert within["swindrnet"] > within[other], within
+
+
+@pytest.mark.long
+def test_poses_of_a_new_scene_are_found(tmp_path: Path):
+    """Scenes of other shapes than those trained on; exact depth and true masks."""
+    pytest.importorskip("mitsuba")
+    from sensors.simulation.cli import main as simulate
+
+    data, out = tmp_path / "data", tmp_path / "results"
+    size = ["--width", "424", "--height", "240", "--views", "3", "--object-poses", "upright"]
+    assert (
+        simulate(["--out", str(data), "--split", "test", "--scenes", "4", "--seed", "910", *size])
+        == 0
+    )
+    words = ["pose", "--method", "crop-nocs", "--set", "masks=true", "--depth", "gt"]
+    words += ["--data", str(data), "--split", "dreds-catknown-test", "--out", str(out)]
+    assert bench(words) == 0
+    (run,) = read_pose_results([out])
+    scores = score_run(run, get_pose_protocol("strict")).scores.mean
+    assert scores["iou50"] > 0.4 and scores["10deg5cm"] > 0.25, scores
