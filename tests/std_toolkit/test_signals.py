@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -59,6 +60,25 @@ def leaves_slowly():  # what it computed is released behind the block
     atexit.register(Slow().__del__)
     time.sleep(60)
 
+def a_library_reports_an_error():  # as drjit does of a loop that it traces
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt as interrupt:
+        raise RuntimeError("a callback failed") from interrupt
+
+def a_library_exits():  # as Lightning does after SIGTERM
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        pass
+    sys.exit(3)
+
+def an_item_fails():  # and the command goes on to its end
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        return 1
+
 def a_thread_goes_on():
     threading.Thread(target=within_a_library).start()
     time.sleep(60)
@@ -78,8 +98,7 @@ def with_a_child():
 
 def run():
     print("begun", flush=True)
-    globals()[sys.argv[1]]()
-    return 0
+    return globals()[sys.argv[1]]() or 0
 
 sys.exit(exit_status(run, program="p", on_interrupt="`p` resumes", grace_s=3))
 """
@@ -107,6 +126,10 @@ def started(tmp_path: Path, work: str, *, ignored: bool = False) -> subprocess.P
         ("loop", signal.SIGTERM),
         ("within_a_library", signal.SIGTERM),
         pytest.param("within_a_library", signal.SIGINT, marks=pytest.mark.long),
+        ("a_library_reports_an_error", signal.SIGINT),
+        ("a_library_reports_an_error", signal.SIGTERM),
+        ("a_library_exits", signal.SIGTERM),
+        ("an_item_fails", signal.SIGTERM),
         ("a_thread_goes_on", signal.SIGTERM),
         ("after_pycolmap", signal.SIGTERM),
         ("leaves_slowly", signal.SIGINT),
@@ -164,6 +187,32 @@ def test_a_signal_while_a_program_starts_is_told(program: str, number: signal.Si
     _, errors = process.communicate(timeout=20)
     assert errors == "interrupted; nothing was begun\n"
     assert process.returncode == 128 + number
+
+
+def test_an_interrupt_while_a_program_loads_is_told(tmp_path: Path) -> None:
+    """A signal is handled once the modules of the command line have loaded."""
+    (tmp_path / "slow_program.py").write_text(
+        "print('begun', flush=True)\nimport time; time.sleep(60)"
+    )
+    code = (
+        "import sys\n"
+        "from std_toolkit.cli import programs\n"
+        "programs.PROGRAMS['std-bench'] = 'slow_program'\n"
+        "sys.exit(programs.bench())\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20)
+    assert errors == "interrupted; nothing was begun\n"
+    assert process.returncode == 130
 
 
 def test_a_program_in_the_background_is_terminated(tmp_path: Path) -> None:
