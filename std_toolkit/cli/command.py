@@ -81,11 +81,9 @@ class Program:
         words = list(sys.argv[1:] if arguments is None else arguments)
         is_process = arguments is None if is_process is None else is_process
         message = f"interrupted; {self.on_interrupt}"
-        terminated: list[int] = []
+        signals: list[int] = []
         try:
-            with ended_by_signals(
-                message, grace_s=self.grace_s if is_process else None
-            ) as terminated:
+            with ended_by_signals(message, grace_s=self.grace_s if is_process else None) as signals:
                 return self._main(words if self.rewrite is None else self.rewrite(words))
         except UsageError as error:
             print(f"error: {error}", file=sys.stderr)
@@ -94,9 +92,12 @@ class Program:
             # `std-curate info SCENE | head` is not an error.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
-        except KeyboardInterrupt:  # before the command began
+        except BaseException as error:
+            if not signals and not is_interrupt(error):
+                raise
+            # Before the command began: its options, and libraries, were imported.
             print("interrupted; nothing was begun", file=sys.stderr)
-            return 128 + terminated[0] if terminated else INTERRUPTED
+            return 128 + signals[0] if signals else INTERRUPTED
 
     def _main(self, words: list[str]) -> int:
         first = next((word for word in words if word not in ("--quiet", "--debug")), None)
@@ -185,19 +186,19 @@ def exit_status(
         on_interrupt: how to go on, printed after SIGINT (Ctrl-C) or SIGTERM.
         grace_s: see `ended_by_signals`; None within `Program.main`, which has its own.
     """
-    terminated: list[int] = []
+    signals: list[int] = []
     try:
-        with ended_by_signals(f"interrupted; {on_interrupt}", grace_s=grace_s) as terminated:
+        with ended_by_signals(f"interrupted; {on_interrupt}", grace_s=grace_s) as signals:
             status = int(run())
-            if terminated and status:
+            if signals and status:
                 raise KeyboardInterrupt  # what failed may have failed by that
             return status
     except BaseException as error:
         # A library may turn an interrupt into an error or an exit of its own.
-        if not terminated and not is_interrupt(error):
+        if not signals and not is_interrupt(error):
             return _failure(error, program, debug)
     print(f"interrupted; {on_interrupt}", file=sys.stderr)
-    return 128 + terminated[0] if terminated else INTERRUPTED
+    return 128 + signals[0] if signals else INTERRUPTED
 
 
 def _failure(error: BaseException, program: str, debug: bool) -> int:

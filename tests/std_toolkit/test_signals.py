@@ -129,7 +129,9 @@ def started(tmp_path: Path, work: str, *, ignored: bool = False) -> subprocess.P
         ("a_library_reports_an_error", signal.SIGINT),
         ("a_library_reports_an_error", signal.SIGTERM),
         ("a_library_exits", signal.SIGTERM),
+        ("a_library_exits", signal.SIGINT),
         ("an_item_fails", signal.SIGTERM),
+        ("an_item_fails", signal.SIGINT),
         ("a_thread_goes_on", signal.SIGTERM),
         ("after_pycolmap", signal.SIGTERM),
         ("leaves_slowly", signal.SIGINT),
@@ -169,11 +171,16 @@ def test_a_signal_of_a_forked_worker_is_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("program", ["std-bench", "std-curate"])
 def test_a_signal_while_a_program_starts_is_told(program: str, number: signal.Signals) -> None:
-    """Options are imported before the command begins: here, a library that takes a minute."""
+    """Options are imported before the command begins: here, a library that takes a minute.
+
+    A library may report an import that was interrupted as an error of its own.
+    """
     code = (
         "import sys, time\n"
         "import std_toolkit.cli.command as command\n"
-        "def slowly(reference):\n    print('begun', flush=True)\n    time.sleep(60)\n"
+        "def slowly(reference):\n    print('begun', flush=True)\n"
+        "    try:\n        time.sleep(60)\n    except KeyboardInterrupt:\n        pass\n"
+        "    raise ImportError('a part of it is missing')\n"
         "command._load = slowly\n"
         "from std_toolkit.cli.programs import run\n"
         f"sys.argv = ['{program}', {'depth' if program == 'std-bench' else 'check'!r}]\n"
