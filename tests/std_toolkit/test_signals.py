@@ -73,6 +73,14 @@ def a_library_exits():  # as Lightning does after SIGTERM
         pass
     sys.exit(3)
 
+def a_library_crashes():
+    import os, signal
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGSEGV, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGSEGV)
+
 def an_item_fails():  # and the command goes on to its end
     try:
         time.sleep(60)
@@ -160,6 +168,15 @@ def test_compiled_code_with_the_interpreters_lock_is_ended(tmp_path: Path) -> No
     assert time.monotonic() - began < 5
     assert errors == "interrupted; `p` resumes\n"
     assert process.returncode == -signal.SIGKILL
+
+
+def test_a_program_that_crashes_after_a_signal_is_told(tmp_path: Path) -> None:
+    """As PySide does when its import is interrupted."""
+    process = started(tmp_path, "a_library_crashes")
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=20)
+    assert errors == "interrupted; `p` resumes\n"
+    assert process.returncode == -signal.SIGSEGV
 
 
 def test_a_signal_of_a_forked_worker_is_its_own(tmp_path: Path) -> None:
