@@ -162,7 +162,7 @@ def _scenes(top: Path) -> dict[str, Case]:
             (shapes / name).mkdir(parents=True)
             mesh.export(shapes / name / "model.obj")
     bench = ("--data", top / "data", "--split", "scenes", "--no-speed", "--workers", 2)
-    tiny = ("--preset", "tiny", "--width", 160, "--height", 90, "--views", 2)
+    tiny = ("--preset", "tiny", "--width", 96, "--height", 54, "--views", 1)
     return {
         "curate": Case(
             lambda out: program("std-curate", "--quiet", "run", out, *options),
@@ -221,9 +221,9 @@ def _train(top: Path) -> dict[str, Case]:
         packed(pack, write_scenes(top / "dreds"))
     case = Case(
         lambda out: program(
-            "std-train", "--method", "dfnet", "--data", pack, "--steps", 60,
+            "std-train", "--method", "dfnet", "--data", pack, "--steps", 20,
             "--set", *(f"{name}={value}" for name, value in TINY["dfnet"].items()),
-            "--batch-size", 4, "--hold-out", 0.3, "--checkpoint-every", 2, "--validate-every", 20,
+            "--batch-size", 4, "--hold-out", 0.3, "--checkpoint-every", 2, "--validate-every", 10,
             "--readers", 1, "--accelerator", "cpu", "--out", out / "run",
         ),
         products=("last.safetensors", "best.safetensors", "best.json"),
