@@ -124,7 +124,8 @@ def run(words: list[str]) -> None:
 def cases(top: Path, names: list[str]) -> dict[str, Case]:
     """The commands of these names, with their inputs."""
     makers = {
-        ("curate", "bench", "restore", "sim"): _scenes,
+        ("curate", "bench", "restore"): _scenes,
+        ("sim",): _sim,
         ("scan",): _scan,
         ("train",): _train,
         ("annotate", "web", "window"): _annotate,
@@ -151,18 +152,7 @@ def _scenes(top: Path) -> dict[str, Case]:
         solved.parent.mkdir(exist_ok=True)
         shutil.copytree(labelled, solved)
         run(program("std-curate", "--quiet", "run", solved, *options))
-    shapes = top / "shapes"
-    if not shapes.exists():
-        import trimesh
-
-        for name, mesh in (
-            ("box", trimesh.creation.box((0.1, 0.06, 0.08))),
-            ("ball", trimesh.creation.icosphere(3, 0.05)),
-        ):
-            (shapes / name).mkdir(parents=True)
-            mesh.export(shapes / name / "model.obj")
     bench = ("--data", top / "data", "--split", "scenes", "--no-speed", "--workers", 2)
-    tiny = ("--preset", "tiny", "--width", 96, "--height", 54, "--views", 1)
     return {
         "curate": Case(
             lambda out: program("std-curate", "--quiet", "run", out, *options),
@@ -182,6 +172,23 @@ def _scenes(top: Path) -> dict[str, Case]:
             ),
             products=("depth/", "confidence/", "changed/"),
         ),
+    }  # fmt: skip
+
+
+def _sim(top: Path) -> dict[str, Case]:
+    """Two scenes of two objects, one view each."""
+    shapes = top / "shapes"
+    if not shapes.exists():
+        import trimesh
+
+        for name, mesh in (
+            ("box", trimesh.creation.box((0.1, 0.06, 0.08))),
+            ("ball", trimesh.creation.icosphere(3, 0.05)),
+        ):
+            (shapes / name).mkdir(parents=True)
+            mesh.export(shapes / name / "model.obj")
+    tiny = ("--preset", "tiny", "--width", 96, "--height", 54, "--views", 1)
+    return {
         "sim": Case(
             lambda out: program(
                 "std-sim", "--out", out, "--assets", "folder", "--assets-root",
