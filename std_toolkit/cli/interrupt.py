@@ -19,8 +19,11 @@ from types import FrameType
 
 from std_toolkit.cli import guard
 
-GRACE_S = 3.0
-"""Seconds from a signal until the program is ended from outside the computation."""
+GRACE_S = 2.5
+"""Seconds from a signal until the program is ended from outside the computation.
+
+The guard takes up to 1 s more, and the system up to another second where many programs compete.
+"""
 
 # Of the outermost block, while there is one.
 _signals: list[int] | None = None
