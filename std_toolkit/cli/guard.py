@@ -23,7 +23,7 @@ _LAST_S = 1.0
 
 
 def main(program: int, grace_s: float, message: str) -> None:
-    """Wait for a signal; let the program end itself, then end it.
+    """Wait for a signal; let the program end itself, then end it. Tell how to resume if it did not.
 
     At the end of the time, the number of the signal goes to the output, where a thread of the
     program waits for it to leave with the right status. A program that does not is killed.
@@ -48,7 +48,9 @@ def main(program: int, grace_s: float, message: str) -> None:
             if deadline is None and signals:
                 first, deadline = signals[0], time.monotonic() + grace_s
         if ended in ready:
-            if first and not told:  # compiled code may crash when a callback is interrupted
+            # Killed, or crashed as compiled code may when a callback is interrupted, or by the
+            # handler of pycolmap's log library, which stands while pycolmap loads.
+            if not told:
                 _tell(message)
             return
     children = [child for child in children_of(program) if child != os.getpid()]

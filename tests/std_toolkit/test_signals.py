@@ -173,10 +173,18 @@ def test_compiled_code_with_the_interpreters_lock_is_ended(tmp_path: Path) -> No
 def test_a_program_that_crashes_after_a_signal_is_told(tmp_path: Path) -> None:
     """As PySide does when its import is interrupted."""
     process = started(tmp_path, "a_library_crashes")
+    time.sleep(0.5)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=20)
     assert errors == "interrupted; `p` resumes\n"
     assert process.returncode == -signal.SIGSEGV
+
+
+def test_a_program_that_was_killed_is_told(tmp_path: Path) -> None:
+    process = started(tmp_path, "loop")
+    process.kill()
+    _, errors = process.communicate(timeout=20)
+    assert errors == "interrupted; `p` resumes\n"
 
 
 def test_a_signal_of_a_forked_worker_is_its_own(tmp_path: Path) -> None:
