@@ -235,4 +235,4 @@ def test_an_interrupted_method_gives_no_failed_view(root: Path) -> None:
             raise RuntimeError("a callback failed") from interrupt
 
     with pytest.raises(RuntimeError, match="a callback failed"):
-        answers_one_by_one(interrupted, lambda view, answer: None, {0: view})
+        answers_one_by_one(interrupted, lambda _view, _answer: None, {0: view})
