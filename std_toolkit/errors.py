@@ -99,6 +99,18 @@ EXTRAS: dict[str, str] = {
 }
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Whether an error is a KeyboardInterrupt or comes from one.
+
+    Compiled code that is interrupted within a callback, such as a loop that drjit traces, reports
+    that as an error of its own.
+    """
+    chain: BaseException | None = error
+    while chain is not None and not isinstance(chain, KeyboardInterrupt):
+        chain = chain.__cause__ or chain.__context__
+    return chain is not None
+
+
 def missing_extra(error: BaseException) -> ToolkitError | None:
     """The error to report for the import of a module that an extra brings; None for any other."""
     if not isinstance(error, ModuleNotFoundError):

@@ -60,7 +60,7 @@ def run(args: AnnotateOptions) -> int:
 
     def quit_by_signal(number: int, _: FrameType | None) -> None:
         interrupted.append(number)
-        app.quit()
+        app.exit()  # `quit` would close the window, which asks whether to save
 
     signal.signal(signal.SIGINT, quit_by_signal)
     awake = QTimer(interval=300)

@@ -19,7 +19,7 @@ from benchmark.evaluation.engine import TaskRun, weights_digest
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.methods.protocol import Restored, Restorer, View
 from benchmark.methods.registry import MethodOptions
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.jobs.options import error_of
 
 if TYPE_CHECKING:
@@ -176,6 +176,8 @@ def answers_one_by_one(
     except (KeyboardInterrupt, MemoryError):
         raise
     except Exception as error:
+        if is_interrupt(error):
+            raise
         if len(views) == 1:
             return {next(iter(views)): error_line(error)}
     found: dict[int, A | str] = {}

@@ -12,7 +12,7 @@ import torch
 from benchmark.methods.weights import save_weights
 from benchmark.training import catalogue, options, packed_frames, run_files, run_note
 from benchmark.training.config import TrainConfig, begin, seed_of
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
@@ -90,7 +90,7 @@ def fit(
                 ckpt_path=checkpoint if checkpoint.exists() else None,
             )
         except SystemExit as ended:
-            if isinstance(ended.__context__, KeyboardInterrupt):
+            if is_interrupt(ended):
                 raise KeyboardInterrupt from ended  # Lightning exits by itself
             raise
         if trainer.is_global_zero:

@@ -19,7 +19,7 @@ from typing import Any
 
 from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
 from std_toolkit.cli.interrupt import GRACE_S, ended_by_signals
-from std_toolkit.errors import ToolkitError, missing_extra
+from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2
@@ -81,11 +81,9 @@ class Program:
         words = list(sys.argv[1:] if arguments is None else arguments)
         is_process = arguments is None if is_process is None else is_process
         message = f"interrupted; {self.on_interrupt}"
-        terminated: list[int] = []
+        signals: list[int] = []
         try:
-            with ended_by_signals(
-                message, grace_s=self.grace_s if is_process else None
-            ) as terminated:
+            with ended_by_signals(message, grace_s=self.grace_s if is_process else None) as signals:
                 return self._main(words if self.rewrite is None else self.rewrite(words))
         except UsageError as error:
             print(f"error: {error}", file=sys.stderr)
@@ -94,9 +92,12 @@ class Program:
             # `std-curate info SCENE | head` is not an error.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
-        except KeyboardInterrupt:  # before the command began
+        except BaseException as error:
+            if not signals and not is_interrupt(error):
+                raise
+            # Before the command began: its options, and libraries, were imported.
             print("interrupted; nothing was begun", file=sys.stderr)
-            return 128 + terminated[0] if terminated else INTERRUPTED
+            return 128 + signals[0] if signals else INTERRUPTED
 
     def _main(self, words: list[str]) -> int:
         first = next((word for word in words if word not in ("--quiet", "--debug")), None)
@@ -185,36 +186,37 @@ def exit_status(
         on_interrupt: how to go on, printed after SIGINT (Ctrl-C) or SIGTERM.
         grace_s: see `ended_by_signals`; None within `Program.main`, which has its own.
     """
-    message = f"interrupted; {on_interrupt}"
-    terminated: list[int] = []
+    signals: list[int] = []
     try:
-        with ended_by_signals(message, grace_s=grace_s) as terminated:
-            return int(run())
-    except ToolkitError as error:
-        if debug:
-            raise
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        if debug:
-            raise
+        with ended_by_signals(f"interrupted; {on_interrupt}", grace_s=grace_s) as signals:
+            status = int(run())
+            if signals and status:
+                raise KeyboardInterrupt  # what failed may have failed by that
+            return status
+    except BaseException as error:
+        # A library may turn an interrupt into an error or an exit of its own.
+        if not signals and not is_interrupt(error):
+            return _failure(error, program, debug)
+    print(f"interrupted; {on_interrupt}", file=sys.stderr)
+    return 128 + signals[0] if signals else INTERRUPTED
+
+
+def _failure(error: BaseException, program: str, debug: bool) -> int:
+    """Report an error in one line; raises it again if it is none of the command, or to debug it."""
+    if debug or isinstance(error, BrokenPipeError) or not isinstance(error, Exception):
+        raise error
+    if isinstance(error, ToolkitError):
+        shown: BaseException | str = error
+    elif isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
-        print(f"error: {where}{error.strerror or error}", file=sys.stderr)
-        return 1
-    except Exception as error:  # a bug in the toolkit: still one line, and how to get the traceback
-        if debug:
-            raise
+        shown = f"{where}{error.strerror or error}"
+    else:  # a bug in the toolkit: still one line, and how to get the traceback
         shown = missing_extra(error) or ToolkitError(
             f"unexpected {type(error).__name__}: {error}",
             hint=f"a defect of std-toolkit; `{program} --debug ...` prints the traceback",
         )
-        print(f"error: {shown}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print(message, file=sys.stderr)
-        return 128 + terminated[0] if terminated else INTERRUPTED
+    print(f"error: {shown}", file=sys.stderr)
+    return 1
 
 
 def _load(reference: str) -> Any:

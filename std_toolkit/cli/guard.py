@@ -23,7 +23,7 @@ _LAST_S = 1.0
 
 
 def main(program: int, grace_s: float, message: str) -> None:
-    """Wait for a signal; let the program end itself, then end it.
+    """Wait for a signal; let the program end itself, then end it. Tell how to resume if it did not.
 
     At the end of the time, the number of the signal goes to the output, where a thread of the
     program waits for it to leave with the right status. A program that does not is killed.
@@ -39,8 +39,6 @@ def main(program: int, grace_s: float, message: str) -> None:
     while deadline is None or time.monotonic() < deadline:
         wait_s = None if deadline is None else max(deadline - time.monotonic(), 0.0)
         ready = select.select(inputs, [], [], wait_s)[0]
-        if ended in ready:
-            return
         if 0 in ready:
             numbers = os.read(0, 64)
             if not numbers:
@@ -49,6 +47,12 @@ def main(program: int, grace_s: float, message: str) -> None:
             signals = [n for n in numbers if n in SIGNALS]
             if deadline is None and signals:
                 first, deadline = signals[0], time.monotonic() + grace_s
+        if ended in ready:
+            # Killed, or crashed as compiled code may when a callback is interrupted, or by the
+            # handler of pycolmap's log library, which stands while pycolmap loads.
+            if not told:
+                _tell(message)
+            return
     children = [child for child in children_of(program) if child != os.getpid()]
     with suppress(OSError):
         os.write(1, bytes([first]))
@@ -60,9 +64,13 @@ def main(program: int, grace_s: float, message: str) -> None:
     left = left or bool(select.select([ended], [], [], 2 * _LAST_S / 3)[0])
     if not left:
         if not told:
-            with suppress(OSError):
-                os.write(2, f"{message}\n".encode())
+            _tell(message)
         _kill(program)
+
+
+def _tell(message: str) -> None:
+    with suppress(OSError):
+        os.write(2, f"{message}\n".encode())
 
 
 def _kill(process: int) -> None:

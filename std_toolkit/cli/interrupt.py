@@ -19,16 +19,19 @@ from types import FrameType
 
 from std_toolkit.cli import guard
 
-GRACE_S = 3.0
-"""Seconds from a signal until the program is ended from outside the computation."""
+GRACE_S = 2.5
+"""Seconds from a signal until the program is ended from outside the computation.
+
+The guard takes up to 1 s more, and the system up to another second where many programs compete.
+"""
 
 # Of the outermost block, while there is one.
-_terminated: list[int] | None = None
+_signals: list[int] | None = None
 
 
 @contextmanager
 def ended_by_signals(message: str, *, grace_s: float | None = None) -> Iterator[list[int]]:
-    """SIGTERM interrupts the block as SIGINT does.
+    """SIGTERM interrupts the block as SIGINT does, and both are recorded.
 
     Outside the main thread, where signals cannot be handled, and within another such block, it
     changes nothing.
@@ -40,29 +43,37 @@ def ended_by_signals(message: str, *, grace_s: float | None = None) -> Iterator[
             within another program, and for one that finishes what it has begun.
 
     Yields:
-        A list that SIGTERM adds its number to.
+        A list that each signal adds its number to, for a block that ends by other means than a
+        KeyboardInterrupt after one.
     """
-    global _terminated
-    if _terminated is not None:
-        yield _terminated
+    global _signals
+    if _signals is not None:
+        yield _signals
         return
     if threading.current_thread() is not threading.main_thread():
         yield []
         return
-    terminated = _terminated = []
+    signals = _signals = []
 
     def terminate(number: int, frame: FrameType | None) -> None:
-        terminated.append(number)
+        signals.append(number)
         _interrupt(number, frame)
 
-    before = signal.signal(signal.SIGTERM, terminate)
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        signals.append(number)
+        raise KeyboardInterrupt
+
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, terminate)}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
     guarding = None if grace_s is None else _guard(message, grace_s)
     try:
-        yield terminated
+        yield signals
     finally:
-        _terminated = None
+        _signals = None
         if guarding is None:
-            signal.signal(signal.SIGTERM, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
         else:
             # All that is left is to unload modules, which may take seconds, and to wait for
             # threads. The guard ends the latter.
@@ -123,8 +134,8 @@ def _guard(message: str, grace_s: float) -> int | None:
 
 def _forget() -> None:
     """In a forked process: no guard, and SIGTERM ends it."""
-    global _terminated
-    _terminated = None
+    global _signals
+    _signals = None
     signal.set_wakeup_fd(-1)
     if callable(signal.getsignal(signal.SIGTERM)):
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -134,7 +145,7 @@ def _end(from_guard: int, message: str, process: subprocess.Popen[bytes]) -> Non
     """End this process when the guard says so, with the status of a signal."""
     number = os.read(from_guard, 1)
     if number:
-        if _terminated is not None:  # within the block, which tells by itself if it can
+        if _signals is not None:  # within the block, which tells by itself if it can
             os.write(2, f"{message}\n".encode())
         os._exit(128 + number[0])
     process.wait()  # it was killed

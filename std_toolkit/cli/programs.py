@@ -11,9 +11,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from typing import TYPE_CHECKING
 
-from std_toolkit.cli.command import Program
 from std_toolkit.plugins import install
+
+if TYPE_CHECKING:
+    from std_toolkit.cli.command import Program
 
 PROGRAMS: dict[str, str] = {
     "std-annotate": "annotator.cli",
@@ -30,9 +33,17 @@ PROGRAMS: dict[str, str] = {
 
 def run(name: str, arguments: Sequence[str] | None = None) -> int:
     """Run a program; returns its exit status."""
+    return _load(name).main(arguments)
+
+
+def _load(name: str) -> Program:
     install()
-    status: int = import_module(PROGRAMS[name]).main(arguments)
-    return status
+    try:
+        program: Program = import_module(PROGRAMS[name]).PROGRAM
+    except KeyboardInterrupt:  # a signal is handled once the program runs
+        print("interrupted; nothing was begun", file=sys.stderr)
+        sys.exit(130)
+    return program
 
 
 def annotate() -> int:
@@ -81,6 +92,4 @@ def train() -> int:
 
 
 if __name__ == "__main__":
-    install()
-    program: Program = import_module(PROGRAMS[sys.argv[1]]).PROGRAM
-    sys.exit(program.main(sys.argv[2:], is_process=True))
+    sys.exit(_load(sys.argv[1]).main(sys.argv[2:], is_process=True))

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from multiprocessing import connection
 from typing import Any, Generic, Protocol
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.jobs.options import (
     ATTEMPTS,
     Item,
@@ -177,6 +177,8 @@ class _Guarded(Generic[Item, Result]):
         except (KeyboardInterrupt, GeneratorExit):
             raise
         except BaseException as error:
+            if is_interrupt(error):
+                raise KeyboardInterrupt from error
             # A library that calls exit() or panics fails its item, not the run.
             logger.debug("failed item", exc_info=True)
             return error_of(error)

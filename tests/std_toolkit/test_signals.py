@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -59,6 +60,33 @@ def leaves_slowly():  # what it computed is released behind the block
     atexit.register(Slow().__del__)
     time.sleep(60)
 
+def a_library_reports_an_error():  # as drjit does of a loop that it traces
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt as interrupt:
+        raise RuntimeError("a callback failed") from interrupt
+
+def a_library_exits():  # as Lightning does after SIGTERM
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        pass
+    sys.exit(3)
+
+def a_library_crashes():
+    import os, signal
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGSEGV, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+def an_item_fails():  # and the command goes on to its end
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        return 1
+
 def a_thread_goes_on():
     threading.Thread(target=within_a_library).start()
     time.sleep(60)
@@ -78,8 +106,7 @@ def with_a_child():
 
 def run():
     print("begun", flush=True)
-    globals()[sys.argv[1]]()
-    return 0
+    return globals()[sys.argv[1]]() or 0
 
 sys.exit(exit_status(run, program="p", on_interrupt="`p` resumes", grace_s=3))
 """
@@ -107,6 +134,12 @@ def started(tmp_path: Path, work: str, *, ignored: bool = False) -> subprocess.P
         ("loop", signal.SIGTERM),
         ("within_a_library", signal.SIGTERM),
         pytest.param("within_a_library", signal.SIGINT, marks=pytest.mark.long),
+        ("a_library_reports_an_error", signal.SIGINT),
+        ("a_library_reports_an_error", signal.SIGTERM),
+        ("a_library_exits", signal.SIGTERM),
+        ("a_library_exits", signal.SIGINT),
+        ("an_item_fails", signal.SIGTERM),
+        ("an_item_fails", signal.SIGINT),
         ("a_thread_goes_on", signal.SIGTERM),
         ("after_pycolmap", signal.SIGTERM),
         ("leaves_slowly", signal.SIGINT),
@@ -137,6 +170,23 @@ def test_compiled_code_with_the_interpreters_lock_is_ended(tmp_path: Path) -> No
     assert process.returncode == -signal.SIGKILL
 
 
+def test_a_program_that_crashes_after_a_signal_is_told(tmp_path: Path) -> None:
+    """As PySide does when its import is interrupted."""
+    process = started(tmp_path, "a_library_crashes")
+    time.sleep(0.5)
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=20)
+    assert errors == "interrupted; `p` resumes\n"
+    assert process.returncode == -signal.SIGSEGV
+
+
+def test_a_program_that_was_killed_is_told(tmp_path: Path) -> None:
+    process = started(tmp_path, "loop")
+    process.kill()
+    _, errors = process.communicate(timeout=20)
+    assert errors == "interrupted; `p` resumes\n"
+
+
 def test_a_signal_of_a_forked_worker_is_its_own(tmp_path: Path) -> None:
     process = started(tmp_path, "a_forked_worker_is_terminated")
     output, errors = process.communicate(timeout=20)
@@ -146,11 +196,16 @@ def test_a_signal_of_a_forked_worker_is_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("program", ["std-bench", "std-curate"])
 def test_a_signal_while_a_program_starts_is_told(program: str, number: signal.Signals) -> None:
-    """Options are imported before the command begins: here, a library that takes a minute."""
+    """Options are imported before the command begins: here, a library that takes a minute.
+
+    A library may report an import that was interrupted as an error of its own.
+    """
     code = (
         "import sys, time\n"
         "import std_toolkit.cli.command as command\n"
-        "def slowly(reference):\n    print('begun', flush=True)\n    time.sleep(60)\n"
+        "def slowly(reference):\n    print('begun', flush=True)\n"
+        "    try:\n        time.sleep(60)\n    except KeyboardInterrupt:\n        pass\n"
+        "    raise ImportError('a part of it is missing')\n"
         "command._load = slowly\n"
         "from std_toolkit.cli.programs import run\n"
         f"sys.argv = ['{program}', {'depth' if program == 'std-bench' else 'check'!r}]\n"
@@ -164,6 +219,32 @@ def test_a_signal_while_a_program_starts_is_told(program: str, number: signal.Si
     _, errors = process.communicate(timeout=20)
     assert errors == "interrupted; nothing was begun\n"
     assert process.returncode == 128 + number
+
+
+def test_an_interrupt_while_a_program_loads_is_told(tmp_path: Path) -> None:
+    """A signal is handled once the modules of the command line have loaded."""
+    (tmp_path / "slow_program.py").write_text(
+        "print('begun', flush=True)\nimport time; time.sleep(60)"
+    )
+    code = (
+        "import sys\n"
+        "from std_toolkit.cli import programs\n"
+        "programs.PROGRAMS['std-bench'] = 'slow_program'\n"
+        "sys.exit(programs.bench())\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert process.stdout is not None and process.stdout.readline() == "begun\n"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20)
+    assert errors == "interrupted; nothing was begun\n"
+    assert process.returncode == 130
 
 
 def test_a_program_in_the_background_is_terminated(tmp_path: Path) -> None:

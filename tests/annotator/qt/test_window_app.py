@@ -14,7 +14,7 @@ from annotator.session import Session
 
 # What a person does: look at the window for a while, move the object, close the window.
 PERSON = """
-import sys
+import os, signal, sys
 from PySide6.QtCore import QTimer, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
@@ -27,6 +27,9 @@ def person():
         QTimer.singleShot(100, person)
         return
     QTest.keyClick(shell.workspace.views.tiles[0].view, Qt.Key.Key_Right)
+    if "SIGTERM" in os.environ:
+        os.kill(os.getpid(), signal.SIGTERM)
+        return
     QTimer.singleShot(0, answer)
     print(shell.windowTitle(), shell.close())
 
@@ -59,6 +62,24 @@ def test_the_command_opens_a_window_and_ends_when_it_is_closed(
     with Session.open(root, annotator="mk") as session:
         assert session.recovery is not None
         assert (session.recovery.count, session.recovery.annotator) == (1, "eva")
+        session.recover()
+
+
+def test_a_signal_ends_the_program_without_a_question(
+    display: str, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del display
+    monkeypatch.setenv("SIGTERM", "1")
+    run = subprocess.run(
+        [sys.executable, "-c", PERSON, str(root), "--annotator", "eva", "--quiet"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    told = "edits that were not saved are kept: open the scene again to recover them"
+    assert (run.returncode, run.stderr) == (143, f"interrupted; {told}\n")
+    with Session.open(root, annotator="mk") as session:
+        assert session.recovery is not None and session.recovery.count == 1
         session.recover()
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from benchmark.data.splits import open_split
 from benchmark.evaluation.engine import run_all, run_task
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.frames import answers_one_by_one, chosen_frames
 from benchmark.evaluation.results import FAILURES, TABLE, write_part
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.registry import MethodOptions
@@ -222,3 +222,17 @@ def test_a_limit_takes_frames_evenly() -> None:
     assert chosen_frames(10, 2) == [2, 7]
     assert chosen_frames(3, 5) == [0, 1, 2]
     assert chosen_frames(100, 1) == [50]
+
+
+def test_an_interrupted_method_gives_no_failed_view(root: Path) -> None:
+    """Compiled code reports an interrupt within its callbacks as an error of its own."""
+    view = view_of(open_split(SPLIT, root).load(0), None)
+
+    def interrupted(views: object) -> list[object]:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interrupt:
+            raise RuntimeError("a callback failed") from interrupt
+
+    with pytest.raises(RuntimeError, match="a callback failed"):
+        answers_one_by_one(interrupted, lambda _view, _answer: None, {0: view})

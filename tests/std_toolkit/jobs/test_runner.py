@@ -258,3 +258,16 @@ def test_lines_tell_the_time_left_without_a_terminal(
         run_jobs(len, ["a", "bc"], name="count", options=JobOptions(workers=1))
     lines = [r.getMessage() for r in caplog.records if "left" in r.getMessage()]
     assert lines[-1].startswith("count: ") and "2 of 2, about 0 s left" in lines[-1]
+
+
+def test_an_interrupt_that_a_library_reports_as_an_error_is_no_failed_item() -> None:
+    """drjit raises a RuntimeError if a callback of its loop is interrupted."""
+
+    def item(number: int) -> int:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interrupt:
+            raise RuntimeError(f"loop {number}") from interrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(item, [1, 2], name="items", options=SERIAL)
