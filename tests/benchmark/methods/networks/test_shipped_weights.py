@@ -23,7 +23,7 @@ FILES = sorted(SHIPPED.glob("*.safetensors"))
 METHODS = [
     name for path in FILES if (name := path.stem.removesuffix("-compact")) in restorers.names()
 ]
-POSES = ("crop-nocs-compact", "swindrnet-nocs-small")
+POSES = ("crop-nocs-compact",)
 _MB = 10**6
 
 
