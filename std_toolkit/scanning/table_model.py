@@ -25,6 +25,9 @@ _WIDTHS, _NARROWEST, _WIDEST = 2.0, 5.0, 14.0
 # Share of the photos that agree on the colour of the table, and the share of those beside an
 # object, which hides it from most; these must agree better by a factor.
 _AGREE, _AGREE_BESIDE, _BETTER = 0.5, 0.3, 2.0
+# Share of the photos that leave a cell in doubt if they agree on another colour, and the grey
+# values within which they then lie.
+_AGREE_ELSE, _CLOSE = 0.25, 2.0
 # Grey values of print that a photo must show, too, and their smallest share there, to be clear.
 _PRINT, _PRINT_SHOWN = 40.0, 0.4
 # A cell whose photos differ more is no table at rest: a moving background, or the object.
@@ -167,7 +170,7 @@ def _of_the_table(known: Mask, corners: Array) -> Mask:
 
     The cells below an object of one colour have a median, too: that of the object.
     """
-    _, labels = cv2.connectedComponents(known.astype(np.uint8))
+    _, labels = cv2.connectedComponents(known.astype(np.uint8), connectivity=4)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     h, w = known.shape
     x, y = np.rint(corners.T).astype(np.int64)
@@ -235,7 +238,8 @@ def _agreed(
     """Colour (N, 3) on which photos of each cell agree best, and their spread (N,) about it.
 
     It is the mean of the half, or of the third if that agrees better, that differs least. The
-    median is of no use beside an object: it hides those cells from most photos.
+    median is of no use beside an object: it hides those cells from most photos. The spread is 255
+    where other photos agree as well on another colour.
     """
     photos, count = samples.shape[:2]
     color = np.zeros((count, 3), np.float32)
@@ -248,27 +252,48 @@ def _agreed(
         order = grey.argsort(axis=0)
         grey = np.take_along_axis(grey, order, axis=0)
         n = seen[:, part].sum(axis=0)
-        narrowest = np.full(len(part), np.inf, np.float32)
-        first, last = np.zeros(len(part), np.int64), np.zeros(len(part), np.int64)
-        for share, better in ((_AGREE, 1.0), (_AGREE_BESIDE, _BETTER)):
-            k = np.maximum(np.ceil(share * n).astype(np.int64), 1)
-            end = np.minimum(rank + k - 1, photos - 1)
-            within = rank + k <= n
-            high = np.take_along_axis(grey, end, axis=0)
-            width = np.where(within, high, np.inf) - np.where(within, grey, 0)
-            start = width.argmin(axis=0)
-            width = width[start, np.arange(len(part))] * better * _AGREE / share
-            take = width < narrowest
-            narrowest = np.where(take, width, narrowest)
-            first, last = np.where(take, start, first), np.where(take, start + k, last)
-        used = ((rank >= first) & (rank < np.minimum(last, n)))[..., None]
-        value = np.take_along_axis(value, order[..., None], axis=0) * used
-        total = np.maximum(used.sum(axis=0), 1)
+        first, last, width = _narrowest(grey, n, _AGREE, np.ones(grey.shape, bool))
+        start, end, third = _narrowest(grey, n, _AGREE_BESIDE, np.ones(grey.shape, bool))
+        take = third * _BETTER / _AGREE_BESIDE < width / _AGREE
+        first, last = np.where(take, start, first), np.where(take, end, last)
+        width = np.where(take, third, width)
+        used = (rank >= first) & (rank < last)
+        start, end, other = _narrowest(grey, n, _AGREE_ELSE, ~used)
+        ours, theirs = (np.take_along_axis(grey, i[None], axis=0)[0] for i in (first, start))
+        with np.errstate(invalid="ignore"):
+            doubtful = (other < 2 * width + _CLOSE) & (np.abs(ours - theirs) > _CONTINUED)
+        value = np.take_along_axis(value, order[..., None], axis=0) * used[..., None]
+        total = np.maximum(used.sum(axis=0), 1)[:, None]
         mean = value.sum(axis=0) / total
-        off = (np.abs(value - mean) * used).max(axis=-1)
+        off = (np.abs(value - mean) * used[..., None]).max(axis=-1)
         color[part] = np.where(n[:, None] > 0, mean, 0)
-        spread[part] = np.where(n > 0, 2 * off.sum(axis=0) / total[:, 0], 255)
+        spread[part] = np.where((n > 0) & ~doubtful, 2 * off.sum(axis=0) / total[:, 0], 255)
     return color, spread
+
+
+def _narrowest(
+    grey: NDArray[np.float32], n: NDArray[np.int64], share: float, allowed: Mask
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+    """First, end and width (N,) of the share of sorted values (V, N) that differs least.
+
+    Args:
+        grey: values of each cell, ascending; the first n of them are valid.
+        n: (N,).
+        share: of the n values.
+        allowed: (V, N) values that may be used.
+    """
+    photos = len(grey)
+    rank = np.arange(photos)[:, None]
+    k = np.maximum(np.ceil(share * n).astype(np.int64), 1)
+    end = np.minimum(rank + k - 1, photos - 1)
+    within = (rank + k <= n) & allowed & np.take_along_axis(allowed, end, axis=0)
+    # All k values must be allowed.
+    count = np.vstack([np.zeros((1, grey.shape[1]), np.int64), allowed.cumsum(axis=0)])
+    within &= np.take_along_axis(count, end + 1, axis=0) - count[:-1] == k
+    high = np.take_along_axis(grey, end, axis=0)
+    width = np.where(within, np.where(within, high, 0) - np.where(within, grey, 0), np.inf)
+    start = width.argmin(axis=0)
+    return start, start + k, width[start, np.arange(grey.shape[1])].astype(np.float32)
 
 
 def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
@@ -335,12 +360,15 @@ def _deviation(
     n = 2 * max(1, round(1.2 * pixel / table.cell)) + 1
     kernel = np.ones((n, n), np.uint8)
     x, y = cell[..., 0], cell[..., 1]
-    darkest = cv2.remap(cv2.erode(color, kernel), x, y, cv2.INTER_LINEAR)
-    brightest = cv2.remap(cv2.dilate(color, kernel), x, y, cv2.INTER_LINEAR)
+    hidden = ~table.known[..., None]
+    low = np.where(hidden, np.float32(1e6), color)
+    high = np.where(hidden, np.float32(-1e6), color)
+    darkest = cv2.remap(cv2.erode(low, kernel), x, y, cv2.INTER_LINEAR)
+    brightest = cv2.remap(cv2.dilate(high, kernel), x, y, cv2.INTER_LINEAR)
     known = cv2.remap(table.known.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
     met = steep & (x >= 0) & (y >= 0) & (x < color.shape[1]) & (y < color.shape[0])
     known &= met
     image = cv2.GaussianBlur(view.image, (0, 0), 0.7).astype(np.float32)
     off = np.maximum(np.maximum(image - brightest, darkest - image), 0).max(axis=-1)
     off = np.where(known, off / table.width, np.nan).astype(np.float32)
-    return off, (brightest - darkest).max(axis=-1), met
+    return off, np.where(known, (brightest - darkest).max(axis=-1), 0), met
