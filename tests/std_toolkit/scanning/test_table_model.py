@@ -20,8 +20,11 @@ CORNERS = np.array([[0.09, 0.09, 0.0], [-0.09, -0.09, 0.0]])
 HALF, HIGH = np.array([0.05, 0.015]), 0.1
 
 
-def photos_of_a_box(count: int = 12, *, panel: bool = False) -> list[View]:
-    """A dark box, wide one way, on a bright table; with a panel of the colour of the table."""
+def photos_of_a_box(count: int = 12, *, panel: bool = False, white: bool = False) -> list[View]:
+    """A dark box, wide one way, on a bright table; with a panel of the colour of the table.
+
+    White, it differs from the table by its shading alone.
+    """
     low, high = np.array([*-HALF, 0.0]), np.array([*HALF, HIGH])
     views = []
     for n in range(count):
@@ -34,6 +37,9 @@ def photos_of_a_box(count: int = 12, *, panel: bool = False) -> list[View]:
         near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
         box = (near < far) & (far > 0)
         look = np.broadcast_to(BOX, rays.shape)
+        if white:
+            shade = np.array([14.0, 26.0, -12.0])[ends.min(axis=0).argmax(axis=-1)]
+            look = TABLE - shade[..., None] * (1 + 0.3 * np.cos(a))
         if panel:
             at = eye + near[..., None] * rays
             white = (np.abs(at[..., 0]) < 0.008) & (np.abs(at[..., 2] - 0.05) < 0.008)
