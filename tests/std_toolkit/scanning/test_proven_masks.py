@@ -44,15 +44,3 @@ def test_a_panel_of_the_colour_of_the_table_stays_in_the_mask() -> None:
         both = (view.shown & true.mask).sum() / (view.shown | true.mask).sum()
         assert both > 0.8
         assert (true.mask & ~view.shown).sum() < 0.02 * true.mask.sum()
-
-
-@pytest.mark.slow
-def test_a_white_object_on_a_white_table_is_found_by_its_shading() -> None:
-    views = photos_of_a_box(white=True)
-    found, compared = find_candidates(views, CORNERS, threads=1)
-    assert len(found) == 1
-    done = segment_on_table(views, found, 0, compared, threads=1)
-    for view, true in zip(done, views, strict=True):
-        assert true.mask is not None
-        both = (view.shown & true.mask).sum() / (view.shown | true.mask).sum()
-        assert both > 0.9
