@@ -72,18 +72,18 @@ def find_candidates(
     box = np.array([*(high - low), tallest])
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
     grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
-    blocked = None
-    for last in (False, True):
+
+    def with_the_table(blocked: Sequence[Mask] | None) -> list[Comparison]:
         tables = model_tables(views, corners, blocked)
-        compared = in_threads(
-            lambda i, t=tables: compare(views[i], t, i), range(len(views)), threads=threads
+        return in_threads(
+            lambda i: compare(views[i], tables, i), range(len(views)), threads=threads
         )
-        different, possible = _not_carved(views, compared, grid)
-        if last:
-            break
-        # What stands on the table hides the cells below it from all photos. Their colour is its
-        # own, which may pass for that of the table: look at the table once more without them.
-        blocked = _silhouettes(views, possible & (different >= 3), grid)
+
+    different, possible = _not_carved(views, with_the_table(None), grid)
+    # What stands on the table hides the cells below it from all photos. Their colour is its own,
+    # which may pass for that of the table: look at the table once more without them.
+    compared = with_the_table(_silhouettes(views, possible & (different >= 3), grid))
+    different, possible = _not_carved(views, compared, grid)
     return _split(different, possible, grid, len(views)), compared
 
 
