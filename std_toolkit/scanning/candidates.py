@@ -63,10 +63,6 @@ def find_candidates(
         corners: (M, 3) corners of the board, world.
         threads: number of threads.
     """
-    tables = model_tables(views, corners)
-    compared = in_threads(
-        lambda i: compare(views[i], tables, i), range(len(views)), threads=threads
-    )
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     size = float((high - low).max())
     # Objects stand on the board or reach over its border by a little.
@@ -76,8 +72,34 @@ def find_candidates(
     box = np.array([*(high - low), tallest])
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
     grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
+
+    def with_the_table(blocked: Sequence[Mask] | None) -> list[Comparison]:
+        tables = model_tables(views, corners, blocked)
+        return in_threads(
+            lambda i: compare(views[i], tables, i), range(len(views)), threads=threads
+        )
+
+    different, possible = _not_carved(views, with_the_table(None), grid)
+    # What stands on the table hides the cells below it from all photos. Their colour is its own,
+    # which may pass for that of the table: look at the table once more without them.
+    compared = with_the_table(_silhouettes(views, possible & (different >= 3), grid))
     different, possible = _not_carved(views, compared, grid)
     return _split(different, possible, grid, len(views)), compared
+
+
+def _silhouettes(views: Sequence[View], solid: Mask, grid: Grid) -> list[Mask]:
+    """Pixels (H, W) of each photo that show voxels; horizontal holes of them are filled."""
+    solid = np.stack([ndimage.binary_fill_holes(layer) for layer in solid])
+    vertices, faces = surface_of(np.where(solid, -grid.step, grid.step).astype(np.float32), grid)
+    found = []
+    for view in views:
+        uv, z = view.project(vertices)
+        drawn = np.zeros(view.image.shape[:2], np.uint8)
+        triangles = uv[faces][(np.isfinite(uv).all(axis=1) & (z > 0))[faces].all(axis=1)]
+        for part in np.rint(triangles).astype(np.int32):
+            cv2.fillConvexPoly(drawn, part, 1)
+        found.append(drawn > 0)
+    return found
 
 
 def _not_carved(
@@ -150,8 +172,9 @@ def _outer(part: Mask, possible: Mask, grid: Grid) -> tuple[Array, NDArray[np.in
     # Below its top, the part itself is the limit.
     top = int(np.flatnonzero(part.any(axis=(1, 2)))[-1])
     above[: max(0, top - 2)] = False
-    field = np.where(near | above, -grid.step, grid.step).astype(np.float32)
-    return surface_of(field, grid)
+    labels, _ = ndimage.label(near | above)
+    joined = np.isin(labels, np.unique(labels[part])) & (labels > 0)
+    return surface_of(np.where(joined, -grid.step, grid.step).astype(np.float32), grid)
 
 
 def choose_candidate(

@@ -97,7 +97,10 @@ def segment_on_table(
         seen = eroded(c.different, 1) & inside & ~hidden
         # Islands did not carve the hull: they are print on it.
         seen |= c.clear & ~never[i] & eroded(inside, 2) & ~hidden
-        core = eroded((view_depth(view, inner) > 0) & ~never[i] & ~hidden, 3)
+        # Before a wall it may be the air above a vessel: from above, its inside looks as if
+        # something stood there.
+        certain = (view_depth(view, inner) > 0) & ~c.beyond
+        core = eroded(certain & ~never[i] & ~hidden, 3)
         maybe = dilated(inside, 3) & ~never[i] & ~hidden
         return view.with_mask(grab_cut(view.image, maybe, seen | core), view.hidden), seen
 

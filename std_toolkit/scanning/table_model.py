@@ -1,7 +1,7 @@
 """The table as the photos agree on it, and where each photo differs from it.
 
-A point of the table is seen by many photos and hidden by the object in some, so the median colour
-is that of the table, shadows that rest on it included.
+A point of the table is seen by some photos and hidden by the object in others. Those that see it
+agree closely, shadows that rest on it included, and those that see the object do not.
 """
 
 from __future__ import annotations
@@ -21,7 +21,15 @@ _MIN_PHOTOS = 4
 # Spreads of the table's own colour by which a photo may differ from it, and the limits of this
 # width in grey values; what differs by twice the width is something else. A wide width takes white
 # print of an object for white paper behind it.
-_WIDTHS, _NARROWEST, _WIDEST = 2.0, 8.0, 14.0
+_WIDTHS, _NARROWEST, _WIDEST = 2.0, 5.0, 14.0
+# Share of the photos that agree on the colour of the table, and the share of those beside an
+# object, which hides it from most; these must agree better by a factor.
+_AGREE, _AGREE_BESIDE, _BETTER = 0.5, 0.3, 2.0
+# Share of the photos that leave a cell in doubt if they agree on another colour, and the grey
+# values within which they then lie.
+_AGREE_ELSE, _CLOSE = 0.25, 2.0
+# Grey values of print that a photo must show, too, and their smallest share there, to be clear.
+_PRINT, _PRINT_SHOWN = 40.0, 0.4
 # A cell whose photos differ more is no table at rest: a moving background, or the object.
 _LARGEST_SPREAD = 22.0
 # Share of the cells around the board that are at rest on a table, and are not around a turntable.
@@ -31,6 +39,8 @@ _AT_REST = 0.6
 _RINGS, _RING, _CONTINUED, _CONTINUED_SHARE = 16, 4, 20.0, 0.25
 # The continued table in parts of the brightness of the known one, and its deviation in hue.
 _DARKEST, _BRIGHTEST, _OTHER_HUE = 0.4, 1.15, 10.0
+# Share of the cells from which the board is compared instead of all of them.
+_BOARD = 0.2
 # Margin of the table around the board, and of the far one that is compared coarsely, in sizes of
 # the board.
 _NEAR, _FAR = 0.35, 3.0
@@ -69,35 +79,47 @@ class Comparison:
         clear: (H, W) pixels that show the bare table.
         different: (H, W) pixels before the known table that show something else.
         known: (H, W) pixels whose rays meet the known table.
+        beyond: (H, W) pixels whose rays meet neither the known table nor any place near the board.
     """
 
     clear: Mask
     different: Mask
     known: Mask
+    beyond: Mask
 
 
-def model_tables(views: Sequence[View], corners: Array) -> list[TableModel]:
+def model_tables(
+    views: Sequence[View], corners: Array, blocked: Sequence[Mask] | None = None
+) -> list[TableModel]:
     """The table near the board and, if it is at rest, far around it, as low photos show it.
 
     Args:
         views: photos.
         corners: (M, 3) corners of the board, world.
+        blocked: (H, W) pixels of each photo before which something stands.
     """
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     size = float((high - low).max())
     low, high = low - _NEAR * size, high + _NEAR * size
-    tables = [model_table(views, low, high, corners)]
-    far = model_table(views, low - _FAR * size, high + _FAR * size, corners)
+    tables = [model_table(views, low, high, corners, blocked)]
+    far = model_table(views, low - _FAR * size, high + _FAR * size, corners, blocked)
     return [*tables, far] if is_table(far) else tables
 
 
-def model_table(views: Sequence[View], low: Array, high: Array, corners: Array) -> TableModel:
+def model_table(
+    views: Sequence[View],
+    low: Array,
+    high: Array,
+    corners: Array,
+    blocked: Sequence[Mask] | None = None,
+) -> TableModel:
     """Colours of the table between two corners (x, y), metres.
 
     Args:
         views: photos.
         low, high: (2,) corners.
         corners: (M, 3) corners of the board that photos show, world: they lie on the table.
+        blocked: (H, W) pixels of each photo before which something stands.
     """
     cell = max(_CELL_M, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
     w, h = (int(n) for n in np.ceil((high - low) / cell) + 1)
@@ -112,6 +134,9 @@ def model_table(views: Sequence[View], low: Array, high: Array, corners: Array) 
         inside = (uv > 0).all(axis=1) & (uv < np.array(view.camera.size) - 1).all(axis=1) & (z > 0)
         steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > _FLATTEST
         seen[i] = inside & steep
+        if blocked is not None:
+            x, y = np.rint(uv[inside].T).astype(np.int64)
+            seen[i, inside] &= ~blocked[i][y, x]
         blurred = cv2.GaussianBlur(view.image, (0, 0), 0.7)
         # Maps of OpenCV are limited to 32767 rows.
         samples[i] = cv2.remap(
@@ -120,10 +145,14 @@ def model_table(views: Sequence[View], low: Array, high: Array, corners: Array) 
     gains = np.ones((len(views), 3), np.float32)
     color = np.zeros((h * w, 3), np.float32)
     spread = np.zeros(h * w, np.float32)
+    # A table shines, paper hardly: where it is the larger part, the board tells the exposures.
+    board = ((flat >= corners.min(axis=0)) & (flat <= corners.max(axis=0)))[:, :2].all(axis=1)
+    board |= board.mean() < _BOARD
     for _ in range(2):
-        color, spread = _median(samples, seen, gains)
+        color, spread = _agreed(samples, seen, gains)
         for i in range(len(views)):
             use = seen[i] & (spread < _LARGEST_SPREAD) & (color.min(axis=1) > 20)
+            use &= board
             if use.sum() > 500:
                 gains[i] = np.median(samples[i][use] / color[use], axis=0)
     enough = (seen.sum(axis=0) >= _MIN_PHOTOS).reshape(h, w)
@@ -141,7 +170,7 @@ def _of_the_table(known: Mask, corners: Array) -> Mask:
 
     The cells below an object of one colour have a median, too: that of the object.
     """
-    _, labels = cv2.connectedComponents(known.astype(np.uint8))
+    _, labels = cv2.connectedComponents(known.astype(np.uint8), connectivity=4)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     h, w = known.shape
     x, y = np.rint(corners.T).astype(np.int64)
@@ -203,27 +232,68 @@ def is_table(model: TableModel) -> bool:
     return bool(model.known.sum() > _AT_REST * model.seen.sum())
 
 
-def _median(
+def _agreed(
     samples: NDArray[np.uint8], seen: Mask, gains: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Median colour (N, 3) and interquartile range (N,) over the photos that see each cell."""
-    count = samples.shape[1]
+    """Colour (N, 3) on which photos of each cell agree best, and their spread (N,) about it.
+
+    It is the mean of the half, or of the third if that agrees better, that differs least. The
+    median is of no use beside an object: it hides those cells from most photos. The spread is 255
+    where other photos agree as well on another colour.
+    """
+    photos, count = samples.shape[:2]
     color = np.zeros((count, 3), np.float32)
     spread = np.full(count, 255, np.float32)
+    rank = np.arange(photos)[:, None]
     for part in np.array_split(np.arange(count), max(1, count // 50_000)):
         value = samples[:, part].astype(np.float32) / gains[:, None]
-        value[~seen[:, part]] = np.inf
-        value.sort(axis=0)
+        grey = value.mean(axis=-1)
+        grey[~seen[:, part]] = np.inf
+        order = grey.argsort(axis=0)
+        grey = np.take_along_axis(grey, order, axis=0)
         n = seen[:, part].sum(axis=0)
-        some = n > 0
-        column = np.arange(len(part))
-        quartiles = [
-            value[np.clip((n * q).astype(np.int64), 0, np.maximum(n - 1, 0)), column][some]
-            for q in (0.25, 0.5, 0.75)
-        ]
-        color[part[some]] = quartiles[1]
-        spread[part[some]] = (quartiles[2] - quartiles[0]).max(axis=1)
+        first, last, width = _narrowest(grey, n, _AGREE, np.ones(grey.shape, bool))
+        start, end, third = _narrowest(grey, n, _AGREE_BESIDE, np.ones(grey.shape, bool))
+        take = third * _BETTER / _AGREE_BESIDE < width / _AGREE
+        first, last = np.where(take, start, first), np.where(take, end, last)
+        width = np.where(take, third, width)
+        used = (rank >= first) & (rank < last)
+        start, end, other = _narrowest(grey, n, _AGREE_ELSE, ~used)
+        ours, theirs = (np.take_along_axis(grey, i[None], axis=0)[0] for i in (first, start))
+        with np.errstate(invalid="ignore"):
+            doubtful = (other < 2 * width + _CLOSE) & (np.abs(ours - theirs) > _CONTINUED)
+        value = np.take_along_axis(value, order[..., None], axis=0) * used[..., None]
+        total = np.maximum(used.sum(axis=0), 1)[:, None]
+        mean = value.sum(axis=0) / total
+        off = (np.abs(value - mean) * used[..., None]).max(axis=-1)
+        color[part] = np.where(n[:, None] > 0, mean, 0)
+        spread[part] = np.where((n > 0) & ~doubtful, 2 * off.sum(axis=0) / total[:, 0], 255)
     return color, spread
+
+
+def _narrowest(
+    grey: NDArray[np.float32], n: NDArray[np.int64], share: float, allowed: Mask
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+    """First, end and width (N,) of the share of sorted values (V, N) that differs least.
+
+    Args:
+        grey: values of each cell, ascending; the first n of them are valid.
+        n: (N,).
+        share: of the n values.
+        allowed: (V, N) values that may be used.
+    """
+    photos = len(grey)
+    rank = np.arange(photos)[:, None]
+    k = np.maximum(np.ceil(share * n).astype(np.int64), 1)
+    end = np.minimum(rank + k - 1, photos - 1)
+    within = (rank + k <= n) & allowed & np.take_along_axis(allowed, end, axis=0)
+    # All k values must be allowed.
+    count = np.vstack([np.zeros((1, grey.shape[1]), np.int64), allowed.cumsum(axis=0)])
+    within &= np.take_along_axis(count, end + 1, axis=0) - count[:-1] == k
+    high = np.take_along_axis(grey, end, axis=0)
+    width = np.where(within, np.where(within, high, 0) - np.where(within, grey, 0), np.inf)
+    start = width.argmin(axis=0)
+    return start, start + k, width[start, np.arange(grey.shape[1])].astype(np.float32)
 
 
 def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
@@ -234,11 +304,14 @@ def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
         tables: of `model_table` over all photos; where several know a place, the first counts.
         index: index of the photo among them.
     """
-    off = deviation(view, tables, index)
+    off, printed, beyond = _against(view, tables, index)
     known = np.isfinite(off)
-    clear = known & (off < 1)
+    # Before tags, a plain object has one of their colours everywhere.
+    cells = np.ones((5, 5), np.uint8)
+    shown = (cv2.dilate(view.image, cells) - cv2.erode(view.image, cells)).max(axis=-1)
+    clear = known & (off < 1) & ((printed < _PRINT) | (shown > _PRINT_SHOWN * printed))
     clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    return Comparison(clear, known & (off > 2), known)
+    return Comparison(clear, known & (off > 2), known, beyond)
 
 
 def deviation(view: View, tables: Sequence[TableModel], index: int) -> NDArray[np.float32]:
@@ -252,13 +325,24 @@ def deviation(view: View, tables: Sequence[TableModel], index: int) -> NDArray[n
         tables: of `model_table` over all photos; where several know a place, the first counts.
         index: index of the photo among them.
     """
-    first, *others = (_deviation(view, table, index) for table in tables)
-    for off in others:
-        first = np.where(np.isfinite(first), first, off)
-    return first
+    return _against(view, tables, index)[0]
 
 
-def _deviation(view: View, table: TableModel, index: int) -> NDArray[np.float32]:
+def _against(
+    view: View, tables: Sequence[TableModel], index: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
+    """(H, W) difference as in `deviation`, contrast of the table within about a pixel, and pixels
+    whose rays meet neither the known table nor the first one."""
+    (off, printed, met), *others = (_deviation(view, table, index) for table in tables)
+    for farther, contrast, _ in others:
+        first = np.isfinite(off) | met
+        off, printed = np.where(first, off, farther), np.where(first, printed, contrast)
+    return off, printed, ~met & ~np.isfinite(off)
+
+
+def _deviation(
+    view: View, table: TableModel, index: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
     h, w = view.image.shape[:2]
     c = view.camera
     u, v = np.meshgrid(np.arange(w), np.arange(h))
@@ -276,10 +360,15 @@ def _deviation(view: View, table: TableModel, index: int) -> NDArray[np.float32]
     n = 2 * max(1, round(1.2 * pixel / table.cell)) + 1
     kernel = np.ones((n, n), np.uint8)
     x, y = cell[..., 0], cell[..., 1]
-    darkest = cv2.remap(cv2.erode(color, kernel), x, y, cv2.INTER_LINEAR)
-    brightest = cv2.remap(cv2.dilate(color, kernel), x, y, cv2.INTER_LINEAR)
+    hidden = ~table.known[..., None]
+    low = np.where(hidden, np.float32(1e6), color)
+    high = np.where(hidden, np.float32(-1e6), color)
+    darkest = cv2.remap(cv2.erode(low, kernel), x, y, cv2.INTER_LINEAR)
+    brightest = cv2.remap(cv2.dilate(high, kernel), x, y, cv2.INTER_LINEAR)
     known = cv2.remap(table.known.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
-    known &= steep & (x >= 0) & (y >= 0)
+    met = steep & (x >= 0) & (y >= 0) & (x < color.shape[1]) & (y < color.shape[0])
+    known &= met
     image = cv2.GaussianBlur(view.image, (0, 0), 0.7).astype(np.float32)
     off = np.maximum(np.maximum(image - brightest, darkest - image), 0).max(axis=-1)
-    return np.where(known, off / table.width, np.nan).astype(np.float32)
+    off = np.where(known, off / table.width, np.nan).astype(np.float32)
+    return off, np.where(known, (brightest - darkest).max(axis=-1), 0), met

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import Camera
-from std_toolkit.scanning.table_model import compare, model_table
+from std_toolkit.scanning.table_model import _agreed, compare, model_table
 from std_toolkit.scanning.views import View
 from tests.std_toolkit.scanning.ball import look_at
 
@@ -76,3 +76,43 @@ def test_where_the_first_table_ends_the_second_is_compared() -> None:
     assert both.known.sum() > 1.5 * alone.known.sum()
     assert both.clear.sum() > 1.5 * alone.clear.sum()
     assert both.different.sum() > alone.different.sum()
+
+
+def test_the_table_is_what_photos_agree_on_though_most_show_an_object() -> None:
+    rng = np.random.default_rng(0)
+    table = 200 + rng.normal(0, 1, (9, 3))
+    shades = np.linspace(120, 190, 15)[:, None] * np.ones(3)
+    samples = np.rint(np.concatenate([table, shades]))[:, None].astype(np.uint8)
+    seen, gains = np.ones((24, 1), bool), np.ones((24, 3), np.float32)
+    color, spread = _agreed(samples, seen, gains)
+    assert np.allclose(color[0], 200, atol=2)
+    assert spread[0] < 5
+    nothing = _agreed(samples, ~seen, gains)
+    assert nothing[1][0] == 255
+    assert np.isfinite(nothing[0]).all()
+
+
+def test_a_cell_of_two_colours_is_in_doubt() -> None:
+    samples = np.repeat(np.array([[200, 198, 190], [90, 20, 20]], np.uint8), [14, 10], axis=0)
+    seen, gains = np.ones((24, 1), bool), np.ones((24, 3), np.float32)
+    assert _agreed(samples[:, None], seen, gains)[1][0] == 255
+    seen[14:18] = seen[20:] = False
+    color, spread = _agreed(samples[:, None], seen, gains)
+    assert np.allclose(color[0], [200, 198, 190])
+    assert spread[0] < 1
+
+
+@pytest.mark.slow
+def test_print_of_the_table_is_clear_only_where_the_photo_shows_it() -> None:
+    views = photos_of_a_box()
+    table = model_table(views, np.array([-0.2, -0.2]), np.array([0.2, 0.2]), CORNERS)
+    row = table.color.shape[0] // 2 - 60
+    table.color[row - 20 : row + 20 : 4] = 20
+    table.known[row - 20 : row + 20] = True
+    view = views[0]
+    found = compare(view, [table], 0)
+    cells = np.array([table.low[0] + 0.1, table.low[1] + row * table.cell, 0.0])
+    uv, _ = view.project(cells[None])
+    x, y = np.rint(uv[0]).astype(int)
+    assert found.known[y, x]
+    assert not found.clear[y, x]
