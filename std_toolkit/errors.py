@@ -106,9 +106,13 @@ def is_interrupt(error: BaseException) -> bool:
     that as an error of its own.
     """
     chain: BaseException | None = error
-    while chain is not None and not isinstance(chain, KeyboardInterrupt):
+    seen: set[int] = set()  # libraries make chains that lead back to where they began
+    while chain is not None and id(chain) not in seen:
+        if isinstance(chain, KeyboardInterrupt):
+            return True
+        seen.add(id(chain))
         chain = chain.__cause__ or chain.__context__
-    return chain is not None
+    return False
 
 
 def missing_extra(error: BaseException) -> ToolkitError | None:

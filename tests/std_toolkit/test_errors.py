@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.io.documents import InvalidDocument
 
 
@@ -45,3 +45,11 @@ def test_errors_cross_process_borders(kind: type[ToolkitError]) -> None:
     assert type(again) is kind
     assert str(again) == str(error)
     assert again.field == "f"
+
+
+def test_an_interrupt_is_found_behind_other_errors_even_in_a_circle() -> None:
+    hidden, circle = RuntimeError("of a library"), [ValueError("a"), ValueError("b")]
+    hidden.__context__ = KeyboardInterrupt()
+    assert is_interrupt(hidden) and is_interrupt(KeyboardInterrupt())
+    circle[0].__cause__, circle[1].__context__ = circle[1], circle[0]
+    assert not is_interrupt(circle[0])
