@@ -31,6 +31,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "two-branch": ("dai2022dreds", "qi2017pointnetpp"),
     # Pose and grasp methods.
     "nocs": ("wang2019nocs",),
+    "crop-nocs": ("wang2019nocs",),
     "spd": ("tian2020spd",),
     "sgpa": ("chen2021sgpa",),
     "swindrnet-nocs": ("dai2022dreds",),

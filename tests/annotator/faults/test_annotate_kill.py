@@ -93,7 +93,7 @@ def test_killed_in_the_middle_of_edits_and_saves(tmp_path: Path) -> None:
         told = saved = done
     leftovers = [p for p in root.rglob("*") if ".tmp" in p.name]
     assert leftovers == []
-    damaged = [p.name for p in history_folder(root).iterdir() if "damaged" in p.name]
+    damaged = [p.name for p in history_folder(root).glob("*damaged*")]
     assert damaged == []
     print(f"{KILLS} kills, {told} edits, none lost")
 
