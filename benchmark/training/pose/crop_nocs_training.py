@@ -13,7 +13,7 @@ from torch.nn.functional import log_softmax
 from benchmark.methods.pose.crop_nocs import BinnedCoordinates
 from benchmark.methods.pose.segmented import Placed, longest_axis
 from benchmark.training.pose import deformation_loss
-from benchmark.training.pose.deformation_training import trained_depth
+from benchmark.training.pose.deformation_training import loss_of_objects, trained_depth
 from benchmark.training.step import Loss, ModelInput, StepInfo
 
 # Of the greatest coordinate that is seen along an axis: some of an object is hidden, so its half
@@ -99,15 +99,7 @@ def crop_nocs_step(
         placed=lambda mask: _placed(mask, loss.turn),
         masked=True,
     )
-    if found is None:
-        # Nothing can be learned of these frames; the step is there all the same.
-        nothing = sum((p.sum() * 0 for p in network.parameters()), torch.zeros(()))
-        return Loss(torch.as_tensor(nothing), {"objects": torch.zeros(())})
-    crop = found.crop
-    answer: BinnedCoordinates = network(crop.color, crop.points, crop.pixels, found.category)
-    with torch.autocast(inputs.color.device.type, enabled=False):
-        total, parts = loss(BinnedCoordinates(*(p.float() for p in answer)), found.truth)
-    return Loss(total, {**parts, "objects": torch.tensor(float(len(found.frames)))})
+    return loss_of_objects(network, loss, inputs, found)
 
 
 def _placed(mask: Tensor, turn: float) -> Placed:

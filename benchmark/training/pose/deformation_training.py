@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from benchmark.methods.pose.crop_estimator import CropConfig
-from benchmark.methods.pose.deformation import Deformed
 from benchmark.methods.pose.segmented import Placed, longest_axis
 from benchmark.training.pose import deformation_loss
 from benchmark.training.pose.restored_points import restored_depth
@@ -31,7 +30,13 @@ def deformation_step(
     step_info: StepInfo,  # noqa: ARG001
 ) -> Loss:
     """One object of each frame through a network that deforms a prior."""
-    found = _objects(network, inputs, one_each=True)
+    return loss_of_objects(network, loss, inputs, _objects(network, inputs, one_each=True))
+
+
+def loss_of_objects(
+    network: nn.Module, loss: Any, inputs: ModelInput, found: deformation_loss.Objects | None
+) -> Loss:
+    """The loss, in full precision, of what a network over crops says of the objects of a batch."""
     if found is None:
         # Nothing can be learned of these frames; the step is there all the same.
         nothing = sum((p.sum() * 0 for p in network.parameters()), torch.zeros(()))
@@ -169,13 +174,14 @@ def _same() -> torch.Generator:
     return torch.Generator().manual_seed(0)
 
 
-def _answered(network: nn.Module, found: deformation_loss.Objects) -> Deformed:
+def _answered(network: nn.Module, found: deformation_loss.Objects) -> Any:
     crop = found.crop
     return network(crop.color, crop.points, crop.pixels, found.category)
 
 
-def _in_full_precision(answer: Deformed) -> Deformed:
-    return Deformed(*(None if part is None else part.float() for part in answer))  # type: ignore[arg-type]
+def _in_full_precision(answer: Any) -> Any:
+    """The same kind of answer, such as `Deformed`, whose parts may be None."""
+    return type(answer)(*(None if part is None else part.float() for part in answer))
 
 
 def _painted(network: nn.Module, found: deformation_loss.Objects, size: int) -> Any:

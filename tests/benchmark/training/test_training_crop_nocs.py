@@ -194,7 +194,7 @@ def test_a_network_that_knows_its_frames_finds_their_poses(tmp_path):
 
 
 def test_crops_are_turned_so_that_the_longest_axis_is_upright():
-    """Whatever way a bar lies, its crop is the same; poses are told in the camera's frame."""
+    """Whatever way a bar lies, it stands upright in its crop."""
     v, u = torch.meshgrid(torch.arange(90.0), torch.arange(120.0), indexing="ij")
     K = torch.tensor([[90.0, 0, 60], [0, 90, 45], [0, 0, 1]])
     for degrees in (-80, -30, 0, 10, 89):
