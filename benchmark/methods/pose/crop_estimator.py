@@ -48,7 +48,7 @@ class CropConfig:
 
     Attributes:
         categories: names, in the order of the weights.
-        side: of the patch of colour, pixels; a multiple of 8.
+        side: of the patch of colour, pixels; a multiple of the network's `step`.
         points: of an object.
         input_size: (width, height) of the frames that patches are cut out of.
         trained_on: depth that the points of training come from; `mixed` draws for each frame
@@ -100,19 +100,25 @@ class CropNetwork(nn.Module):
     Attributes:
         masked: whether the mask is a fourth channel of the colour.
         aligned: whether crops are turned so that the longest axis of the mask is upright.
+        step: what the side of a patch is a multiple of, pixels.
 
     Raises:
-        ToolkitError: the side is not a multiple of 8.
+        ToolkitError: the side is no such multiple, or there are no points.
     """
 
     masked = False
     aligned = False
+    step = 8
 
     def __init__(self, config: CropConfig) -> None:
         super().__init__()
         self.config = config
-        if config.side % 8:
-            raise ToolkitError("must be a multiple of 8", field="side", value=config.side)
+        if config.side < self.step or config.side % self.step:
+            raise ToolkitError(
+                f"must be a multiple of {self.step}", field="side", value=config.side
+            )
+        if config.points < 1:
+            raise ToolkitError("must be 1 or more", field="points", value=config.points)
 
 
 class CropEstimator:

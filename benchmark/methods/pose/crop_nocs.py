@@ -76,11 +76,12 @@ class CropNOCSNetwork(CropNetwork):
     """Colour with mask, points, pixels and categories to `BinnedCoordinates`.
 
     Raises:
-        ToolkitError: the side is not a multiple of 8.
+        ToolkitError: the side is not a multiple of 16, or there are no points.
     """
 
     masked = True
     aligned = True
+    step = 16
     config: CropNOCSConfig
 
     def __init__(self, config: CropNOCSConfig) -> None:

@@ -15,6 +15,7 @@ from benchmark.training.pose.crop_nocs_training import binned_entropy, crop_nocs
 from benchmark.training.pose.deformation_loss import ObjectTruth, about_y, facing
 from benchmark.training.pose.deformation_training import trained_depth
 from benchmark.training.step import StepInfo, model_input
+from std_toolkit.errors import ToolkitError
 from tests.benchmark.methods.pose.boxes_in_view import (
     CAR,
     MUG,
@@ -210,3 +211,9 @@ def test_crops_are_turned_so_that_the_longest_axis_is_upright():
         )
         rows, columns = (crop.color[0] > 0.5).nonzero(as_tuple=True)
         assert rows.max() - rows.min() > 40 and columns.max() - columns.min() < 11
+
+
+@pytest.mark.parametrize("changes", [{"side": "40"}, {"side": "0"}, {"points": "0"}])
+def test_crops_that_cannot_be_are_refused(changes):
+    with pytest.raises(ToolkitError, match=next(iter(changes))):
+        _network(**changes)
