@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from annotator.startup import quick_imports
 from std_toolkit.cli.command import Command, Program, print_json
+from std_toolkit.cli.interrupt import whole_imports
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def _front_end(module: str, extra: str, needs: tuple[str, ...], what: str) -> Mo
     if extra == "gui":
         _require_display()
     try:
-        with quick_imports():
+        with whole_imports(), quick_imports():
             return importlib.import_module(module)
     except ImportError as error:
         # For example a missing system library of Qt or VTK.

@@ -20,6 +20,7 @@ from annotator.options import AnnotateOptions
 from annotator.qt.graphics import set_surface_format
 from annotator.qt.theme import apply_theme
 from annotator.startup import quick_imports
+from std_toolkit.cli.interrupt import whole_imports
 
 if TYPE_CHECKING:
     from annotator.qt.main_window import Shell
@@ -38,7 +39,7 @@ def run(args: AnnotateOptions) -> int:
     """
     meshes = choose_folder(args.meshes)
     app = make_application()
-    with quick_imports():
+    with whole_imports(), quick_imports():
         from annotator.qt.main_window import Shell
 
     shell = Shell(annotator=args.annotator, meshes=meshes)

@@ -18,12 +18,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
-from std_toolkit.cli.interrupt import GRACE_S, ended_by_signals
+from std_toolkit.cli.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2
-INTERRUPTED = 130
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
 
@@ -97,7 +96,7 @@ class Program:
                 raise
             # Before the command began: its options, and libraries, were imported.
             print("interrupted; nothing was begun", file=sys.stderr)
-            return 128 + signals[0] if signals else INTERRUPTED
+            return status_after(signals)
 
     def _main(self, words: list[str]) -> int:
         first = next((word for word in words if word not in ("--quiet", "--debug")), None)
@@ -198,7 +197,7 @@ def exit_status(
         if not signals and not is_interrupt(error):
             return _failure(error, program, debug)
     print(f"interrupted; {on_interrupt}", file=sys.stderr)
-    return 128 + signals[0] if signals else INTERRUPTED
+    return status_after(signals)
 
 
 def _failure(error: BaseException, program: str, debug: bool) -> int:

@@ -8,6 +8,7 @@ atomically, so that this loses only the item in work.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import subprocess
@@ -25,8 +26,12 @@ GRACE_S = 2.5
 The guard takes up to 1 s more, and the system up to another second where many programs compete.
 """
 
+INTERRUPTED = 130
+
 # Of the outermost block, while there is one.
 _signals: list[int] | None = None
+# Of a program that signals ended.
+_status: int | None = None
 
 
 @contextmanager
@@ -53,6 +58,8 @@ def ended_by_signals(message: str, *, grace_s: float | None = None) -> Iterator[
     if threading.current_thread() is not threading.main_thread():
         yield []
         return
+    # The guard starts first: before the handlers are there, SIGTERM ends the process.
+    guarding = None if grace_s is None else _guard(message, grace_s)
     signals = _signals = []
 
     def terminate(number: int, frame: FrameType | None) -> None:
@@ -66,7 +73,6 @@ def ended_by_signals(message: str, *, grace_s: float | None = None) -> Iterator[
     before = {signal.SIGTERM: signal.signal(signal.SIGTERM, terminate)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
-    guarding = None if grace_s is None else _guard(message, grace_s)
     try:
         yield signals
     finally:
@@ -90,6 +96,41 @@ def keep_handlers() -> None:
             handler = signal.getsignal(number)
             if callable(handler):
                 signal.signal(number, handler)
+
+
+@contextmanager
+def whole_imports() -> Iterator[None]:
+    """A signal within the block is handled behind it.
+
+    Compiled modules that are interrupted while they make their types (Mitsuba, PySide) end the
+    process by themselves, with a status and lines of their own. The guard ends a block that takes
+    too long.
+    """
+    held: list[int] = []
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in guard.SIGNALS:
+            handler = signal.getsignal(number)
+            if callable(handler):
+                handlers[number] = handler
+                signal.signal(number, lambda number, _frame: held.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        if held:
+            handlers[signal.Signals(held[0])](held[0], None)
+
+
+def status_after(signals: list[int]) -> int:
+    """Exit status of a program that these signals ended; the process leaves with it in any case.
+
+    Libraries that were interrupted may crash while Python unloads them.
+    """
+    global _status
+    _status = 128 + signals[0] if signals else INTERRUPTED
+    return _status
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -124,6 +165,8 @@ def _guard(message: str, grace_s: float) -> int | None:
         os.close(from_signals)
         os.close(to_thread)
     signal.set_wakeup_fd(to_guard, warn_on_full_buffer=False)
+    # Registered early, and so called after what libraries leave to the end.
+    atexit.register(_end_with_status)
     # The signals of a forked worker are none of this program.
     os.register_at_fork(after_in_child=_forget)
     threading.Thread(
@@ -139,6 +182,16 @@ def _forget() -> None:
     signal.set_wakeup_fd(-1)
     if callable(signal.getsignal(signal.SIGTERM)):
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _end_with_status() -> None:
+    """Leave without unloading modules if signals ended the program."""
+    if _status is None:
+        return
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    os._exit(_status)
 
 
 def _end(from_guard: int, message: str, process: subprocess.Popen[bytes]) -> None:

@@ -16,7 +16,7 @@ from std_toolkit.cli.interrupt import ended_by_signals
 pytestmark = pytest.mark.slow
 
 SCRIPT = """
-import hashlib, sys, threading, time
+import hashlib, os, sys, threading, time
 from std_toolkit.cli.command import exit_status
 
 def loop():
@@ -81,6 +81,25 @@ def a_library_crashes():
         signal.signal(signal.SIGSEGV, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGSEGV)
 
+class CrashesAtTheEnd:  # as Mitsuba does if its import was interrupted
+    def __del__(self):
+        os._exit(1)
+
+def unloading_crashes():
+    global library
+    library = CrashesAtTheEnd()
+    time.sleep(60)
+
+def a_module_loads():  # which may neither be interrupted nor go on for long
+    from std_toolkit.cli.interrupt import whole_imports
+    with whole_imports():
+        try:
+            print("imports started", flush=True)
+            time.sleep(1 if "short" in sys.argv else 60)
+        except KeyboardInterrupt:
+            os._exit(1)
+    time.sleep(60)
+
 def an_item_fails():  # and the command goes on to its end
     try:
         time.sleep(60)
@@ -117,7 +136,7 @@ def started(tmp_path: Path, work: str, *, ignored: bool = False) -> subprocess.P
     script.write_text(SCRIPT)
     handling = signal.SIG_IGN if ignored else signal.SIG_DFL
     process = subprocess.Popen(
-        [sys.executable, str(script), work],
+        [sys.executable, str(script), *work.split()],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -143,13 +162,18 @@ def started(tmp_path: Path, work: str, *, ignored: bool = False) -> subprocess.P
         ("a_thread_goes_on", signal.SIGTERM),
         ("after_pycolmap", signal.SIGTERM),
         ("leaves_slowly", signal.SIGINT),
+        ("unloading_crashes", signal.SIGINT),
+        ("unloading_crashes", signal.SIGTERM),
+        ("a_module_loads short", signal.SIGINT),
+        ("a_module_loads short", signal.SIGTERM),
+        ("a_module_loads long", signal.SIGTERM),
         pytest.param("swallowed", signal.SIGTERM, marks=pytest.mark.long),
     ],
 )
 def test_the_program_ends_in_time(work: str, number: signal.Signals, tmp_path: Path) -> None:
     process = started(tmp_path, work)
-    if work == "after_pycolmap":
-        assert process.stdout is not None and process.stdout.readline() == "imported\n"
+    if work.startswith(("after_pycolmap", "a_module_loads")):
+        assert process.stdout is not None and process.stdout.readline().endswith("ed\n")
     time.sleep(0.1)
     began = time.monotonic()
     process.send_signal(number)
