@@ -287,25 +287,29 @@ class LabelCaster:
 
     def possible(self, camera: Camera, T_world_cam: SE3) -> NDArray[np.bool_]:
         """(H, W) pixels that may show an object: inside the outlines of the convex hulls."""
-        mask = np.zeros((camera.height, camera.width), np.uint8)
-        T_cam_world = T_world_cam.inverse()
+        mask = np.zeros((camera.height, camera.width), bool)
         for object_id in self.object_ids:
             window = self.window(object_id, camera, T_world_cam)
-            if window is None:
-                continue
-            x0, y0, x1, y1 = window
-            p = T_cam_world @ self._hulls[object_id]
-            uv = camera.project(p) - (x0, y0)
-            # Lens distortion bends the lines of a hull, and OpenCV's coordinates are limited.
-            if camera.is_distorted or not (np.abs(uv) < _LARGEST_PX).all():
-                mask[y0:y1, x0:x1] = 1
-                continue
-            part = np.ascontiguousarray(mask[y0:y1, x0:x1])
+            if window is not None:
+                x0, y0, x1, y1 = window
+                mask[y0:y1, x0:x1] |= self.within(object_id, camera, T_world_cam, window)
+        return mask
+
+    def within(
+        self, object_id: int, camera: Camera, T_world_cam: SE3, window: tuple[int, int, int, int]
+    ) -> NDArray[np.bool_]:
+        """(h, w) pixels of an object's window inside the outline of its convex hull."""
+        x0, y0, x1, y1 = window
+        part = np.zeros((y1 - y0, x1 - x0), np.uint8)
+        uv = camera.project(T_world_cam.inverse() @ self._hulls[object_id]) - (x0, y0)
+        # Lens distortion bends the lines of a hull, and OpenCV's coordinates are limited.
+        if camera.is_distorted or not (np.abs(uv) < _LARGEST_PX).all():
+            part[:] = 1
+        else:
             outline = cv2.convexHull(np.rint(uv).astype(np.int32))
             cv2.fillConvexPoly(part, outline, 1)
             cv2.polylines(part, [outline], isClosed=True, color=1, thickness=5)
-            mask[y0:y1, x0:x1] |= part
-        return mask.astype(bool)
+        return part.astype(bool)
 
     def window(
         self, object_id: int, camera: Camera, T_world_cam: SE3

@@ -193,8 +193,9 @@ def _png(image: NDArray[np.uint8]) -> Picture:
     small = _resized(
         image, PANEL_WIDTH, round(PANEL_WIDTH * height / width), method=cv2.INTER_NEAREST
     )
+    # The highest level takes seven times as long for files that are 4 % smaller.
     data = cv2.imencode(
-        ".png", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9]
+        ".png", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 6]
     )[1]
     return Picture(data.tobytes(), "image/png", small.shape[1], small.shape[0])
 

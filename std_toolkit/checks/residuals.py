@@ -294,6 +294,8 @@ def _hidden_px(view: LabelledView, object_id: int, window: tuple[int, int, int, 
     x0, y0, x1, y1 = window
     nearest = view.object_id[y0:y1, x0:x1]
     behind = (nearest != NOTHING) & (nearest != object_id)
+    if behind.any():
+        behind &= view.caster.within(object_id, view.camera, view.T_world_cam, window)
     if not behind.any():
         return 0
     hits = view.caster.cast_pixels(
