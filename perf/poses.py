@@ -2,8 +2,9 @@
 
     python perf/poses.py [--images DIR --intrinsics FILE] [--skip-exhaustive]
 
-Prints a table of wall times and ratios. "plain" is pycolmap with its default options on all
-frames, fixed pinhole intrinsics, incremental mapping; features are part of every time.
+Prints a table of wall times, processor times and their ratios. "plain" is pycolmap with its default
+options on all frames, fixed pinhole intrinsics, incremental mapping; features are part of every
+time.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shutil
 import tempfile
 import time
@@ -40,8 +42,20 @@ def make_scene(images: Path, K: np.ndarray, root: Path) -> Any:
     )
 
 
-def plain(images: Path, K: np.ndarray, work: Path, *, exhaustive: bool) -> tuple[float, int]:
-    """(seconds, registered frames) of pycolmap with default options."""
+def processor_seconds() -> float:
+    """Processor time of this process and its children, running ones with those they waited for."""
+    from std_toolkit.cli.guard import children_of
+
+    ended = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    ticks = 0
+    for child in children_of(os.getpid()):
+        fields = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()
+        ticks += sum(map(int, fields[11:15]))
+    return sum(u.ru_utime + u.ru_stime for u in ended) + ticks / os.sysconf("SC_CLK_TCK")
+
+
+def plain(images: Path, K: np.ndarray, work: Path, *, exhaustive: bool) -> tuple[float, float, int]:
+    """(seconds, processor seconds, registered frames) of pycolmap with default options."""
     import pycolmap
 
     from std_toolkit.poses.colmap import quiet_colmap
@@ -53,7 +67,7 @@ def plain(images: Path, K: np.ndarray, work: Path, *, exhaustive: bool) -> tuple
     mapping = pycolmap.IncrementalPipelineOptions()
     mapping.ba_refine_focal_length = False
     mapping.ba_refine_extra_params = False
-    start = time.perf_counter()
+    start, before = time.perf_counter(), processor_seconds()
     with quiet_colmap():
         pycolmap.extract_features(
             work / "d.db",
@@ -63,8 +77,8 @@ def plain(images: Path, K: np.ndarray, work: Path, *, exhaustive: bool) -> tuple
         )
         (pycolmap.match_exhaustive if exhaustive else pycolmap.match_sequential)(work / "d.db")
         models = pycolmap.incremental_mapping(work / "d.db", images, work, mapping)
-    seconds = time.perf_counter() - start
-    return seconds, max((m.num_reg_images() for m in models.values()), default=0)
+    seconds, busy = time.perf_counter() - start, processor_seconds() - before
+    return seconds, busy, max((m.num_reg_images() for m in models.values()), default=0)
 
 
 def seconds_per_further_frame(scene: Any, work: Path) -> float:
@@ -139,19 +153,24 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         scene = make_scene(args.images, K, work / "scene")
-        start = time.perf_counter()
+        start, before = time.perf_counter(), processor_seconds()
         poses = estimate_poses(scene, PoseOptions(scale="none"))
-        ours = time.perf_counter() - start
+        ours, busy = time.perf_counter() - start, processor_seconds() - before
         registered = sum(p.status == "registered" for p in poses.frames)
-        rows = [("std-curate poses", ours, registered)]
+        rows = [("std-curate poses", ours, busy, registered)]
         rows.append(("plain sequential", *plain(args.images, K, work / "s", exhaustive=False)))
         if not args.skip_exhaustive:
             rows.append(("plain exhaustive", *plain(args.images, K, work / "e", exhaustive=True)))
         further = seconds_per_further_frame(scene, work)
     total = len(scene.frames)
-    print(f"{'':18} {'seconds':>8} {'ours / it':>10} {'registered':>12}")
-    for name, seconds, count in rows:
-        print(f"{name:18} {seconds:8.1f} {ours / seconds:10.2f} {count:6} of {total}")
+    print(
+        f"{'':18} {'seconds':>8} {'ours / it':>10} {'processor':>10} {'ours / it':>10} registered"
+    )
+    for name, seconds, used, count in rows:
+        print(
+            f"{name:18} {seconds:8.1f} {ours / seconds:10.2f} {used:8.1f} {busy / used:10.2f} "
+            f"{count:6} of {total}"
+        )
     cores = len(os.sched_getaffinity(0))
     print(f"each further frame that is no keyframe: {further:.3f} s on {cores} cores")
 
