@@ -6,14 +6,17 @@ import io
 import json
 import re
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from benchmark.cli.report import PAGE, main
 from benchmark.evaluation.engine import run_all
+from benchmark.evaluation.results import read_table, write_part
 from benchmark.evaluation.tasks.depth_results import read_results, summarise
 from benchmark.report.leaderboard import (
     MEASURED,
@@ -239,6 +242,34 @@ def test_bad_results_are_told_in_one_line(
     assert main([str(top)]) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert told in line
+
+
+def test_text_in_a_column_of_numbers_is_refused(results: Path, tmp_path: Path) -> None:
+    top = tmp_path / "results"
+    shutil.copytree(results, top)
+    path = next(top.rglob("images.parquet"))
+    table = pd.read_parquet(path)
+    table.assign(rmse=[*(["0.1"] * (len(table) - 1)), "large"]).to_parquet(path)
+    with pytest.raises(ToolkitError, match=r"images\.parquet: rmse: the column needs numbers"):
+        read_results([top])
+
+
+def test_a_byte_that_changed_in_a_table_is_noticed(tmp_path: Path) -> None:
+    """Without a checksum of the page, the number would be read as another one."""
+    write_part(tmp_path, 0, 99, [{"index": i, "rmse": 0.1 + i} for i in range(100)])
+    (path,) = tmp_path.rglob("*.parquet")
+    whole, original = path.read_bytes(), read_table(path)
+    last = pq.ParquetFile(path).metadata.row_group(0).column(1)
+    other = 0
+    for k in range(4, last.dictionary_page_offset + last.total_compressed_size):
+        path.write_bytes(whole[:k] + bytes([whole[k] ^ 1]) + whole[k + 1 :])
+        try:
+            other += not pd.read_parquet(path).equals(original)
+        except (OSError, ValueError):
+            continue
+        with suppress(ToolkitError):
+            assert read_table(path).equals(original), f"byte {k}"
+    assert other > 100
 
 
 def test_one_method_twice_is_refused(results: Path, tmp_path: Path) -> None:

@@ -115,6 +115,15 @@ def test_a_checkpoint_without_tensors(tmp_path):
         read_weights(tmp_path / "a.pth")
 
 
+@pytest.mark.parametrize("key", ["state_dict", "model"])
+def test_a_checkpoint_that_contains_itself(key, tmp_path):
+    endless = {"epoch": 3}
+    endless[key] = endless
+    torch.save(endless, tmp_path / "a.pth")
+    with pytest.raises(ToolkitError, match="no tensors by name"):
+        read_weights(tmp_path / "a.pth")
+
+
 def test_what_differs_is_told(tmp_path):
     state = network(width=5).state_dict()
     state["9.weight"] = state.pop("2.bias")
