@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from hostile_pages import attack
 
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.tasks.grasp_results import Gain, Rate
@@ -78,3 +79,17 @@ def test_an_interval_decides_what_may_be_said():
     assert verdict(Gain(Rate(0.1, nan, nan, 1, 1), 1.0)) == "one table is too few to say"
     told = points(Gain(Rate(-0.05, -0.2, 0.1, 0, 4), 0.5))
     assert told == "5.0 points [-20.0, 10.0] fewer (p = 0.5)"
+
+
+def test_no_field_of_somebody_elses_run_is_markup(tmp_path):
+    rounds = [(ALL, [("held", 1), ("held", 1)]), (NONE, [("slipped", 0)])]
+    for depth in ("raw", "gt"):
+        _write(tmp_path, depth, rounds)
+    tally = attack(
+        tmp_path,
+        lambda: grasp_part([tmp_path]),
+        lambda: render_page([grasp_part([tmp_path])]),
+        skip=lambda field: "packages" in field.keys,
+    )
+    assert len(tally.shown) > 10
+    assert len(tally.refused) > 5
