@@ -27,6 +27,7 @@ from aiohttp.typedefs import Handler, Middleware
 from annotator.app.mesh_folder import MeshFolder, choose_folder
 from annotator.options import AnnotateOptions
 from annotator.session import Session
+from std_toolkit.cli.interrupt import whole_imports
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
@@ -95,10 +96,12 @@ async def serve(
         meshes: folder whose meshes are in the library.
         started: called with the port once the server listens.
     """
-    from trame.app import get_server
+    with whole_imports():
+        import pyvista  # noqa: F401 - the views import it when they are made
+        from trame.app import get_server
 
-    from annotator.web.front_end import FrontEnd
-    from annotator.web.page import STATIC, index_html
+        from annotator.web.front_end import FrontEnd
+        from annotator.web.page import STATIC, index_html
 
     server = get_server(
         f"std-annotate-{id(session)}", client_type="vue3", ws_heart_beat=HEARTBEAT_S
