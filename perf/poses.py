@@ -157,20 +157,21 @@ def main() -> None:
         poses = estimate_poses(scene, PoseOptions(scale="none"))
         ours, busy = time.perf_counter() - start, processor_seconds() - before
         registered = sum(p.status == "registered" for p in poses.frames)
-        rows = [("std-curate poses", ours, busy, registered)]
-        rows.append(("plain sequential", *plain(args.images, K, work / "s", exhaustive=False)))
+        total = len(scene.frames)
+
+        def show(name: str, seconds: float, used: float, count: int) -> None:
+            print(
+                f"{name:18} {seconds:8.1f} {ours / seconds:10.2f} {used:8.1f} {busy / used:10.2f} "
+                f"{count:6} of {total}",
+                flush=True,
+            )
+
+        print(f"{'':18} {'seconds':>8} {'ours / it':>10} {'busy':>8} {'ours / it':>10} registered")
+        show("std-curate poses", ours, busy, registered)
+        show("plain sequential", *plain(args.images, K, work / "s", exhaustive=False))
         if not args.skip_exhaustive:
-            rows.append(("plain exhaustive", *plain(args.images, K, work / "e", exhaustive=True)))
+            show("plain exhaustive", *plain(args.images, K, work / "e", exhaustive=True))
         further = seconds_per_further_frame(scene, work)
-    total = len(scene.frames)
-    print(
-        f"{'':18} {'seconds':>8} {'ours / it':>10} {'processor':>10} {'ours / it':>10} registered"
-    )
-    for name, seconds, used, count in rows:
-        print(
-            f"{name:18} {seconds:8.1f} {ours / seconds:10.2f} {used:8.1f} {busy / used:10.2f} "
-            f"{count:6} of {total}"
-        )
     cores = len(os.sched_getaffinity(0))
     print(f"each further frame that is no keyframe: {further:.3f} s on {cores} cores")
 
