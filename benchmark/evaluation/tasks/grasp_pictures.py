@@ -86,9 +86,7 @@ def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper | SuctionCup
     return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
 
 
-def through_glass(
-    behind: NDArray[np.float64], normals: NDArray[np.float32]
-) -> NDArray[np.float64]:
+def through_glass(behind: NDArray[np.float64], normals: NDArray[np.float32]) -> NDArray[np.float64]:
     """Picture (h, w, 3) of what is behind glass of given normals (camera frame), as seen through
     it: bent towards its edges, which mirror the surroundings, with the highlight of a lamp."""
     h, w = behind.shape[:2]
