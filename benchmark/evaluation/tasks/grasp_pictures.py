@@ -30,8 +30,8 @@ _BAND = 18
 # Viewed from the right of the camera and further away, so that the lifted gripper is in view.
 _EYE, _TARGET = (0.42, -0.55, 0.42), (0.0, 0.0, 0.14)
 _COLORS = {"transparent": (175, 205, 235), "specular": (185, 185, 190)}
-# Glass: the tint of what is seen through it where it faces the eye, by how many pixels it bends that
-# at its edges, the light that its edges and a lamp's highlight mirror, and where the lamp is.
+# Glass: the tint of what is seen through it where it faces the eye, by how many pixels its edges
+# bend that, the light that they and a lamp's highlight mirror, and where the lamp is.
 _TINT, _BEND_PX, _MIRRORED, _SHINE = (0.93, 0.97, 0.98), 26.0, 250.0, 200.0
 _LAMP = np.array([-0.45, -0.65, -0.61]) / np.linalg.norm([-0.45, -0.65, -0.61])
 _HAND, _TABLE = (235, 140, 60), (232, 226, 214)
