@@ -42,6 +42,8 @@ from std_toolkit.io.documents import write_document
 NEAR_M = 0.01
 BASELINE_M = 0.055
 FEWEST = 150
+# The table is nearer than this; walls and what is beyond them are no table.
+FARTHEST_M = 1.0
 TARGET = Path(__file__).parents[1] / "benchmark" / "tabletop" / "depth_model.json"
 _SIGMAS = (0.5, 0.8, 1.2, 1.8, 2.5, 3.5, 5.0, 7.0)
 _LAG = 3
@@ -93,12 +95,17 @@ class Region:
 
 
 def behind_of(frame: DepthFrame) -> Any:
-    """Depth of the floor: a plane fitted to its visible part."""
+    """Depth of the floor: a plane fitted to its visible part, without walls and edges of tables."""
     rays = frame.camera.rays()
     points = rays * frame.depth_true[..., None]
-    floor = points[(frame.mask == BACKGROUND) & (frame.depth_true > 0)][::20]
-    centre = floor.mean(axis=0)
-    normal = np.linalg.svd(floor - centre, full_matrices=False)[2][2]
+    near = (frame.depth_true > 0) & (frame.depth_true < FARTHEST_M)
+    points = points[(frame.mask == BACKGROUND) & near][::20]
+    kept = np.ones(len(points), bool)
+    for _ in range(10):
+        centre = points[kept].mean(axis=0)
+        normal = np.linalg.svd(points[kept] - centre, full_matrices=False)[2][2]
+        off = np.abs((points - centre) @ normal)
+        kept = off <= max(0.003, 2 * float(np.median(off)))
     return ((centre @ normal) / (rays @ normal)).astype(np.float32)
 
 
@@ -116,7 +123,11 @@ def regions(frame: DepthFrame) -> list[Region]:
     matched = ~unmatched(true, frame.camera.fx * BASELINE_M)
     found = []
     for kind in KINDS:
-        here = (kinds == KINDS.index(kind)) & (true > 0) & matched
+        here = (kinds == KINDS.index(kind)) & (true > 0) & (true < FARTHEST_M) & matched
+        if kind in (EDGE, SHADOW):
+            here &= other < FARTHEST_M
+        elif kind == TABLE:
+            here &= np.abs(floor - true) < NEAR_M
         ids = np.unique(frame.mask[here]) if kind in MATERIALS else [None]
         for number in ids:
             mine = here if number is None else here & (frame.mask == number)
@@ -206,7 +217,7 @@ def compare(model: DepthModel, source: Any, frames: list[int]) -> None:
         for name in (*MATERIALS, TABLE):
             ids = [k for k, m in materials_of(frame).items() if m == name] or [-1]
             here = np.isin(frame.mask, [BACKGROUND] if name == TABLE else ids)
-            here &= frame.depth_true > 0
+            here &= (frame.depth_true > 0) & (frame.depth_true < FARTHEST_M)
             if here.sum() < FEWEST:
                 continue
             apart = np.abs(floor - frame.depth_true)[here] > 2 * NEAR_M

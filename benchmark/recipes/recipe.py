@@ -200,7 +200,7 @@ class RecipeConfig:
     recipe: str = field(default="", metadata={"option": ""})
     """name of a recipe, or FILE.toml"""
     scale: str = ""
-    """tiny (a check that every step runs), small (hours), paper (full size)"""
+    """tiny (a check that every step runs), small (minutes), medium (hours), paper (full size)"""
     out: Path = Path("recipe-runs")
     """folder of all recipes: what several need is made once"""
     plan: bool = False

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from math import nan
+from pathlib import Path
 
 import pandas as pd
 
@@ -19,6 +21,8 @@ from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.io.atomic import write_bytes_atomic
 
 PAGE, MARKDOWN, CSV, POSES_CSV = "report.html", "table.md", "table.csv", "poses.csv"
+# Beside the recipes: all their tables.
+ALL_TABLES = "tables.md"
 _NOTE = (
     "Figures are means over frames. `paper` is the released evaluation, which the published "
     "figures were made by; under `strict` a missing pixel counts with its whole depth. Published "
@@ -46,8 +50,26 @@ def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> st
         texts[POSES_CSV] = poses.to_csv(index=False, lineterminator="\n")
     for name, text in texts.items():
         write_bytes_atomic(plan.folder / name, text.encode())
+    write_bytes_atomic(plan.out / ALL_TABLES, all_tables(plan.out, plan.scale_name).encode())
     shown = [terminal(plan, rows, sentences), *(table.terminal() for table in pose_tables)]
     return "\n\n".join(shown) + f"\n{plan.folder / PAGE}"
+
+
+def all_tables(out: Path, scale: str) -> str:
+    """The tables of all recipes that ran at a scale, as one page of Markdown.
+
+    Args:
+        out: folder of the scale, with a folder for each recipe.
+        scale: its name.
+    """
+    lines = [f"# All recipes at scale `{scale}`", ""]
+    for path in sorted(out.glob(f"*/{MARKDOWN}")):
+        # A level below the title of this page.
+        text = re.sub("^#", "##", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        title, _, rest = text.partition("\n")
+        command = f"`std-train recipe {path.parent.name} --scale {scale}`"
+        lines += [title, "", f"{command}", rest.rstrip().replace(f"\n{_NOTE}", ""), ""]
+    return "\n".join([*lines, _NOTE]) + "\n"
 
 
 def scale_line(plan: recipe_plan.RecipePlan) -> str:

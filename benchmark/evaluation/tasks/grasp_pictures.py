@@ -30,8 +30,10 @@ _BAND = 18
 # Viewed from the right of the camera and further away, so that the lifted gripper is in view.
 _EYE, _TARGET = (0.42, -0.55, 0.42), (0.0, 0.0, 0.14)
 _COLORS = {"transparent": (175, 205, 235), "specular": (185, 185, 190)}
-# Share of what is behind that glass lets through, where it faces the eye.
-_CLEAR = 0.75
+# Glass: the tint of what is seen through it where it faces the eye, by how many pixels its edges
+# bend that, the light that they and a lamp's highlight mirror, and where the lamp is.
+_TINT, _BEND_PX, _MIRRORED, _SHINE = (0.93, 0.97, 0.98), 26.0, 250.0, 200.0
+_LAMP = np.array([-0.45, -0.65, -0.61]) / np.linalg.norm([-0.45, -0.65, -0.61])
 _HAND, _TABLE = (235, 140, 60), (232, 226, 214)
 
 
@@ -80,9 +82,29 @@ def _stage_picture(attempt: Attempt, stage: Stage, gripper: Gripper | SuctionCup
         behind, _, _ = _drawn(
             camera, T_world_cam, [placed[k] for k in solid], [colors[k] for k in solid]
         )
-        clear = _CLEAR * np.clip(-normals[..., 2:], 0, 1) ** 0.5
-        image = np.where(through[..., None], clear * behind + (1 - clear) * image, image)
+        image = np.where(through[..., None], through_glass(behind, normals), image)
     return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+
+
+def through_glass(behind: NDArray[np.float64], normals: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Picture (h, w, 3) of what is behind glass of given normals (camera frame), as seen through
+    it: bent towards its edges, which mirror the surroundings, with the highlight of a lamp."""
+    h, w = behind.shape[:2]
+    slant = 1 - np.clip(-normals[..., 2], 0, 1)
+    v, u = np.mgrid[:h, :w].astype(np.float32)
+    bent = cv2.remap(
+        behind.astype(np.float32),
+        u + _BEND_PX * slant * normals[..., 0],
+        v + _BEND_PX * slant * normals[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REFLECT,
+    )
+    edge = slant**3
+    # Just inside the bright edge, light comes from so far aside that it is dark.
+    dark = 1 - 0.45 * np.exp(-(((slant - 0.62) / 0.18) ** 2))
+    shine = np.clip((normals @ _LAMP.astype(np.float32) - 0.975) / 0.025, 0, 1)
+    seen = bent * np.array(_TINT) * (dark * (1 - edge))[..., None]
+    return seen + (_MIRRORED * 0.85 * edge + _SHINE * shine)[..., None]
 
 
 def _drawn(

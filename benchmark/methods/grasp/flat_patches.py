@@ -177,7 +177,7 @@ class FlatPatches:
         """(N,) grasps whose tube or box would be where something is seen, on the way too."""
         boxes = self.cup.boxes(grasps.widths, grasps.depths)
         behind = Boxes(boxes.low[:, 1:], boxes.high[:, 1:] - [_LIFTED_M, 0, 0])
-        return np.asarray(Cloud(seen).count_inside(grasps, behind).any(axis=1))
+        return Cloud(seen).any_inside(grasps, behind)
 
 
 def _frames(approaches: Floats) -> Floats:

@@ -6,7 +6,8 @@ Boxes and triangles are tested with separating axes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,10 +18,10 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 
-Floats = NDArray[np.float64]
+if TYPE_CHECKING:
+    from benchmark.metrics.grasp.points_in_boxes import PointGrid
 
-# Pairs of a box and a point that are looked at in one go: about 100 MB.
-_PAIRS_AT_ONCE = 2_000_000
+Floats = NDArray[np.float64]
 
 
 def boxes_meet_triangles(low: Floats, high: Floats, triangles: Floats) -> NDArray[np.bool_]:
@@ -71,13 +72,17 @@ class Cloud:
     points: Floats
 
     def __post_init__(self) -> None:
-        from scipy.spatial import cKDTree
-
         points = np.asarray(self.points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ToolkitError("a cloud is (P, 3) finite numbers", value=points.shape)
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "_tree", cKDTree(points) if len(points) else None)
+
+    @cached_property
+    def _grid(self) -> PointGrid:
+        # Imported here, for it loads the compiler.
+        from benchmark.metrics.grasp.points_in_boxes import PointGrid
+
+        return PointGrid(self.points)
 
     def count_inside(
         self, grasps: Grasps, boxes: Boxes, *, margin: float = 0.0
@@ -92,41 +97,23 @@ class Cloud:
         Returns:
             (N, B) counts.
         """
-        shape = boxes.low.shape[:2]
         if not len(self.points) or not len(grasps):
-            return np.zeros(shape, dtype=np.int64)
-        # Each box looks at the points in the ball around it.
-        low, high = (boxes.low - margin).reshape(-1, 3), (boxes.high + margin).reshape(-1, 3)
-        rotations = np.repeat(grasps.rotations, shape[1], axis=0)
-        origins = np.repeat(grasps.translations, shape[1], axis=0)
-        centers = origins + np.einsum("nij,nj->ni", rotations, (low + high) / 2)
-        reach = np.linalg.norm(high - low, axis=1) / 2
-        tree = self._tree  # type: ignore[attr-defined]
-        expected = tree.query_ball_point(centers, reach, return_length=True)
-        ends = np.cumsum(expected)
-        counts = np.zeros(len(low), dtype=np.int64)
-        first = 0
-        while first < len(low):
-            done = ends[first - 1] if first else 0
-            last = max(int(np.searchsorted(ends, done + _PAIRS_AT_ONCE)), first + 1)
-            part = slice(first, last)
-            near = tree.query_ball_point(centers[part], reach[part])
-            box = np.repeat(np.arange(first, last), expected[part])
-            point = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=len(box))
-            # p_grasp = R^T (p - t), axis by axis: what is out along one is not looked at again.
-            away = self.points[point] - origins[box]
-            for axis in range(3):
-                value = np.einsum("pj,pj->p", away, rotations[box, :, axis])
-                inside = (value > low[box, axis]) & (value < high[box, axis])
-                box, away = box[inside], away[inside]
-            counts += np.bincount(box, minlength=len(low))
-            first = last
-        return counts.reshape(shape)
+            return np.zeros(boxes.low.shape[:2], dtype=np.int64)
+        return self._grid.count(grasps.rotations, grasps.translations, boxes, margin=margin)
+
+    def any_inside(self, grasps: Grasps, boxes: Boxes, *, margin: float = 0.0) -> NDArray[np.bool_]:
+        """(N,) grasps with a point in any of their boxes; arguments as of `count_inside`."""
+        if not len(self.points) or not len(grasps):
+            return np.zeros(len(grasps), dtype=bool)
+        counts = self._grid.count(
+            grasps.rotations, grasps.translations, boxes, margin=margin, first_only=True
+        )
+        return np.asarray(counts.any(axis=1))
 
     def hit_by(self, grasps: Grasps, gripper: Gripper, *, margin: float = 0.0) -> NDArray[np.bool_]:
         """(N,) grasps whose open gripper has a point inside it; `margin` as of `count_inside`."""
         boxes = gripper.boxes(grasps.widths, grasps.depths)
-        return np.asarray(self.count_inside(grasps, boxes, margin=margin).any(axis=1))
+        return self.any_inside(grasps, boxes, margin=margin)
 
     def count_between(self, grasps: Grasps, gripper: Gripper) -> NDArray[np.int64]:
         """(N,) how many points lie between the open fingers: few of them, and it grasps air."""

@@ -88,7 +88,7 @@ def test_the_folder_at_the_top_is_the_installed_one() -> None:
 
 def test_scales_grow() -> None:
     known = scales()
-    assert list(known) == ["tiny", "small", "paper"]
+    assert list(known) == ["tiny", "small", "medium", "paper"]
     frames = []
     for scale in known.values():
         for size in scale.sets.values():
@@ -108,7 +108,7 @@ def test_what_a_method_does_not_say_is_that_of_the_scale() -> None:
     assert small.of("swindrnet").batch_size == small.training.batch_size
     assert small.of("lidf").batch_size != small.training.batch_size
     assert small.of("swindrnet").learning_rate == 1e-3 and small.training.learning_rate is None
-    assert small.of("nlspn").settings == {"input_size": "112,63"}
+    assert small.of("nlspn").settings == {"input_size": "112,63", "steps": "6"}
     assert small.of("lidf").steps == small.training.steps
 
 

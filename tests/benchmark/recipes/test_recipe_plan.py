@@ -226,7 +226,7 @@ def test_the_command_line(tmp_path, capsys):
     assert main(["recipe"]) == 0
     told = capsys.readouterr().out
     assert told == recipe_list() + "\n"
-    assert all(name in told for name in (*recipe_names(), "tiny", "small", "paper"))
+    assert all(name in told for name in (*recipe_names(), "tiny", "small", "medium", "paper"))
     assert main(["recipe", "--json"]) == 0
     assert list(json.loads(capsys.readouterr().out)["recipes"]) == recipe_names()
     plan = ["recipe", "cross-sensor", "--scale", "paper", "--plan", "--out", str(tmp_path)]

@@ -16,7 +16,14 @@ import torch
 from recipe_data import write_set, write_std
 
 from benchmark.cli.train import main
-from benchmark.recipes.recipe_page import CSV, MARKDOWN, PAGE, POSES_CSV
+from benchmark.recipes.recipe_page import (
+    ALL_TABLES,
+    CSV,
+    MARKDOWN,
+    PAGE,
+    POSES_CSV,
+    all_tables,
+)
 from benchmark.recipes.recipe_table import ABSENT, COLUMNS, MEASURED, PUBLISHED
 
 pytestmark = pytest.mark.slow
@@ -109,6 +116,28 @@ def test_the_scores_are_those_of_the_benchmark(done):
     assert row["rmse"] == pytest.approx(mean["rmse"], rel=1e-12)
     weights = done / "tiny" / "training" / found.manifest.label / "best.safetensors"
     assert found.manifest.weights == str(weights)
+
+
+def test_all_tables_stand_on_one_page(done, tmp_path):
+    page = (done / "tiny" / ALL_TABLES).read_text()
+    assert page.startswith("# All recipes at scale `tiny`\n")
+    own = (done / "tiny" / "sim-to-real" / MARKDOWN).read_text()
+    rows = [line for line in own.splitlines() if line.startswith("|")]
+    assert len(rows) > 20
+    assert [line for line in page.splitlines() if line in rows] == rows
+    assert "\n## Sim-to-real\n" in page and "`std-train recipe sim-to-real --scale tiny`" in page
+    headings = [line for line in page.splitlines() if line.startswith("#")]
+    assert sum(line.startswith("# ") for line in headings) == 1
+    # Figures are explained once, also below two recipes; what is not a recipe is left out.
+    (tmp_path / "other").mkdir()
+    (tmp_path / "data").mkdir()
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir(exist_ok=True)
+        (tmp_path / name / MARKDOWN).write_text(own)
+    two = all_tables(tmp_path, "tiny")
+    assert two.count("Figures are means over frames") == 1
+    assert two.index("recipe one") < two.index("recipe other")
+    assert "recipe data" not in two
 
 
 def test_every_page_tells_the_scale(done):

@@ -61,3 +61,17 @@ def test_the_simulator_stands_where_the_quick_camera_does():
     assert right[table].mean() > 0.75
     # Hazy plastic returns part of the projector's light from its surface.
     assert right[simulated.frame.mask == 0].mean() < right[table].mean() - 0.2
+
+
+def test_glass_in_pictures_shows_what_is_behind_it() -> None:
+    from benchmark.evaluation.tasks.grasp_pictures import through_glass
+
+    stripes = np.where(np.arange(60) // 10 % 2, 220.0, 60.0)[None, :, None] + np.zeros((40, 1, 3))
+    facing = np.broadcast_to(np.float32([0, 0, -1]), (40, 60, 3))
+    seen = through_glass(stripes, facing)
+    assert np.allclose(seen, stripes * [0.93, 0.97, 0.98], atol=1)
+    # Slanted, it shows another place; at its edge it mirrors what is bright.
+    aslant = np.broadcast_to(np.float32([0.6, 0, -0.8]), (40, 60, 3))
+    assert (np.abs(through_glass(stripes, aslant) - seen)[..., 0] > 60).mean() > 0.2
+    edge = np.broadcast_to(np.float32([1, 0, 0]), (40, 60, 3))
+    assert through_glass(stripes, edge).min() > 200

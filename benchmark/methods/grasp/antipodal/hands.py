@@ -236,11 +236,8 @@ def _hits(grasps: Grasps, gripper: Gripper, obstacles: Obstacles) -> NDArray[np.
     """(N,) hands with an obstacle in them: fingers against the fine points, palm the coarse."""
     boxes = gripper.boxes(grasps.widths, grasps.depths)
     palm = Boxes(boxes.low[:, -1:], boxes.high[:, -1:])
-    hit: NDArray[np.bool_] = np.asarray(
-        obstacles.coarse.count_inside(grasps, palm, margin=COARSE_M / 4).any(axis=1)
-    )
+    hit = obstacles.coarse.any_inside(grasps, palm, margin=COARSE_M / 4)
     rest = np.flatnonzero(~hit)
     fingers = Boxes(boxes.low[rest, :-1], boxes.high[rest, :-1])
-    counts = obstacles.fine.count_inside(grasps[rest], fingers, margin=FINE_M / 8)
-    hit[rest] = counts.any(axis=1)
+    hit[rest] = obstacles.fine.any_inside(grasps[rest], fingers, margin=FINE_M / 8)
     return hit

@@ -90,16 +90,37 @@ def test_counts_are_those_of_a_loop() -> None:
     assert np.array_equal(counts, expected)
 
 
-def test_many_pairs_are_counted_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    import benchmark.metrics.grasp.collision as module
+@pytest.mark.parametrize(
+    "spread",
+    [(0.1, 0.1, 0.1), (0.3, 0.3, 0.0), (0.2, 0.0, 0.0), (0.0, 0.0, 0.0), (1000.0, 1000.0, 0.01)],
+)
+def test_points_of_any_spread_are_found(spread: tuple[float, float, float]) -> None:
+    """Flat clouds, a single place, and points far outside of all boxes."""
+    rng = np.random.default_rng(4)
+    near = rng.uniform(-1, 1, (400, 3)) * np.minimum(spread, 0.3)
+    points = np.concatenate([near, rng.uniform(-1, 1, (50, 3)) * spread])
+    grasps = Grasps.make(
+        Rotation.random(60, rng=rng).as_matrix(),
+        rng.uniform(-0.1, 0.1, (60, 3)),
+        widths=rng.uniform(0, 0.08, 60),
+        depths=rng.uniform(0, 0.04, 60),
+    )
+    boxes = PANDA.boxes(grasps.widths, grasps.depths)
+    local = np.einsum("npj,njk->npk", points - grasps.translations[:, None], grasps.rotations)
+    above = local[:, None] > boxes.low[:, :, None]
+    expected = (above & (local[:, None] < boxes.high[:, :, None])).all(axis=3).sum(axis=2)
+    cloud = Cloud(points)
+    assert expected.any() and not expected.all()
+    assert np.array_equal(cloud.count_inside(grasps, boxes), expected)
+    assert np.array_equal(cloud.any_inside(grasps, boxes), expected.any(axis=1))
+    assert np.array_equal(cloud.hit_by(grasps, PANDA), expected.any(axis=1))
 
-    points = np.random.default_rng(0).uniform(-0.1, 0.1, (500, 3))
-    grasps = grasp_down(np.random.default_rng(1).uniform(-0.1, 0.1, (40, 3)).tolist())
-    at_once = Cloud(points).hit_by(grasps, PANDA)
-    monkeypatch.setattr(module, "_PAIRS_AT_ONCE", 50)
-    assert 0 < at_once.sum() < 40
-    assert np.array_equal(Cloud(points).hit_by(grasps, PANDA), at_once)
-    assert not Cloud(np.zeros((0, 3))).hit_by(grasps, PANDA).any()
+
+def test_a_cloud_of_no_points_and_no_grasps_meet_nothing() -> None:
+    none = Cloud(np.zeros((0, 3)))
+    assert not none.hit_by(grasp_down([[0, 0, 0]]), PANDA).any()
+    one = Cloud(np.zeros((1, 3)))
+    assert one.hit_by(grasp_down([[0, 0, 0]])[[]], PANDA).shape == (0,)
 
 
 def test_voxels_are_the_cells_that_hold_points() -> None:
