@@ -9,9 +9,11 @@ about y have no front: +x of theirs is the side that faces the camera.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, one_hot, relu
@@ -19,8 +21,11 @@ from torch.nn.functional import interpolate, one_hot, relu
 from benchmark.methods.network import network_of
 from benchmark.methods.pointnet.grouping import at
 from benchmark.methods.pose.crop_estimator import CropConfig, CropEstimator, CropNetwork
+from benchmark.methods.pose.segmented import Segmented, stacked
+from benchmark.methods.protocol import PoseView
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.resnet import residual_layer
+from benchmark.metrics.pose.pose_protocol import DREDS_CLASSES
 
 AXES = 3
 
@@ -54,6 +59,9 @@ class CropNOCSConfig(CropConfig):
         widths: channels at a half, a quarter, an eighth and a sixteenth of the patch's side.
         blocks: residual blocks of each.
         bins: of a coordinate.
+        trust: how much this network's own judgement of classes counts where masks come with
+            chances of several: an object is tried as each category, and chances are multiplied by
+            exp(trust * mean log chance of its best bins). 0 leaves the classes as they are.
     """
 
     widths: tuple[int, ...] = (64, 128, 256, 384)
@@ -63,6 +71,7 @@ class CropNOCSConfig(CropConfig):
     points: int = 1024
     trained_on: Literal["raw", "true", "restored", "mixed"] = "mixed"
     masks: str = "swindrnet-nocs"
+    trust: float = 3.0
 
 
 PRESETS = {
@@ -211,5 +220,36 @@ class CropNOCS(CropEstimator):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        _, network = network_of("crop-nocs", PRESETS, CropNOCSNetwork, options)
+        self._own, network = network_of("crop-nocs", PRESETS, CropNOCSNetwork, options)
         super().__init__(network, options)
+
+    def _segmented(self, views: Sequence[PoseView]) -> list[Segmented]:
+        found = super()._segmented(views)
+        if self._own.trust == 0:
+            return found
+        return [self._judged(view, each) for view, each in zip(views, found, strict=True)]
+
+    def _judged(self, view: PoseView, found: Segmented) -> Segmented:
+        """Objects of whose classes there are chances, with those that this network makes of them.
+
+        That an object is of no class at all stays as likely as it was.
+        """
+        if found.chances is None or not len(found):
+            return found
+        chances = found.chances.copy()
+        numbers = torch.arange(len(self._own.categories), device=self.device)
+        of_category = [DREDS_CLASSES.index(name) for name in self._own.categories]
+        for number, crop in enumerate(self._crops(view, found)):
+            if crop is None:
+                continue
+            tried = stacked([crop] * len(numbers))
+            answer = self._run(tried.color, tried.points, tried.pixels, numbers)
+            sure = answer.logits.float().log_softmax(dim=2).amax(dim=2).mean(dim=(1, 2))
+            before = chances[number, of_category]
+            after = before * np.exp(self._own.trust * (sure - sure.max()).double().cpu().numpy())
+            chances[number, of_category] = after * (before.sum() / max(after.sum(), 1e-12))
+        known = chances[:, 1:]
+        best = known.argmax(axis=1) + 1
+        scores = known.max(axis=1)
+        judged = Segmented(best.astype(np.int64), scores, found.masks, chances)
+        return judged.of(np.argsort(-scores, kind="stable"))
