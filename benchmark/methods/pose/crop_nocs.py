@@ -26,6 +26,7 @@ from benchmark.methods.protocol import PoseView
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.resnet import residual_layer
 from benchmark.metrics.pose.pose_protocol import DREDS_CLASSES
+from std_toolkit.errors import ToolkitError
 
 AXES = 3
 
@@ -60,8 +61,10 @@ class CropNOCSConfig(CropConfig):
         blocks: residual blocks of each.
         bins: of a coordinate.
         trust: how much this network's own judgement of classes counts where masks come with
-            chances of several: an object is tried as each category, and chances are multiplied by
-            exp(trust * mean log chance of its best bins). 0 leaves the classes as they are.
+            chances of several: an object is tried as each category, and its chances are multiplied
+            by exp(offset - trust * mean entropy of the bins). 0 leaves the classes as they are.
+        offsets: of each category, as coordinates of some are always surer than those of others;
+            none for 0.
     """
 
     widths: tuple[int, ...] = (64, 128, 256, 384)
@@ -71,7 +74,8 @@ class CropNOCSConfig(CropConfig):
     points: int = 1024
     trained_on: Literal["raw", "true", "restored", "mixed"] = "mixed"
     masks: str = "swindrnet-nocs"
-    trust: float = 3.0
+    trust: float = 6.0
+    offsets: tuple[float, ...] = ()
 
 
 PRESETS = {
@@ -221,6 +225,12 @@ class CropNOCS(CropEstimator):
 
     def __init__(self, options: MethodOptions) -> None:
         self._own, network = network_of("crop-nocs", PRESETS, CropNOCSNetwork, options)
+        if self._own.offsets and len(self._own.offsets) != len(self._own.categories):
+            raise ToolkitError(
+                f"must be as many as categories, {len(self._own.categories)}",
+                field="offsets",
+                value=self._own.offsets,
+            )
         super().__init__(network, options)
 
     def _segmented(self, views: Sequence[PoseView]) -> list[Segmented]:
@@ -238,15 +248,18 @@ class CropNOCS(CropEstimator):
             return found
         chances = found.chances.copy()
         numbers = torch.arange(len(self._own.categories), device=self.device)
+        offsets = np.array(self._own.offsets or (0.0,) * len(numbers))
         of_category = [DREDS_CLASSES.index(name) for name in self._own.categories]
         for number, crop in enumerate(self._crops(view, found)):
             if crop is None:
                 continue
             tried = stacked([crop] * len(numbers))
             answer = self._run(tried.color, tried.points, tried.pixels, numbers)
-            sure = answer.logits.float().log_softmax(dim=2).amax(dim=2).mean(dim=(1, 2))
+            bins = answer.logits.double().log_softmax(dim=2)
+            unsure = -(bins.exp() * bins).sum(dim=2).mean(dim=(1, 2)).cpu().numpy()
+            evidence = offsets - self._own.trust * unsure
             before = chances[number, of_category]
-            after = before * np.exp(self._own.trust * (sure - sure.max()).double().cpu().numpy())
+            after = before * np.exp(evidence - evidence.max())
             chances[number, of_category] = after * (before.sum() / max(after.sum(), 1e-12))
         known = chances[:, 1:]
         best = known.argmax(axis=1) + 1

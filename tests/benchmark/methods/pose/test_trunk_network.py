@@ -131,7 +131,10 @@ def test_objects_that_are_likely_of_no_class_are_left_out():
     config = SwinNOCSConfig(instances="middle", apart=10, other=0.6)
     assert len(segments_of(chances, config, middles)) == 0
     found = segments_of(chances, replace(config, other=0.8), middles)
-    assert (found.class_ids.tolist(), found.scores.tolist()) == ([4], [pytest.approx(0.3, rel=1e-4)])
+    assert (found.class_ids.tolist(), found.scores.tolist()) == (
+        [4],
+        [pytest.approx(0.3, rel=1e-4)],
+    )
 
 
 def test_nothing_is_no_object():
