@@ -142,20 +142,20 @@ class CropNOCSNetwork(CropNetwork):
             category: (b,) place of its category in the configuration's.
         """
         if self.training:
-            logits, box = self._answer(color, points, pixels, category)
+            logits, box = self.answer(color, points, pixels, category)
         else:
             # The same crop upside down has the same answers.
             over = points * points.new_tensor([-1.0, -1.0, 1.0])
             last = color.shape[-1] ** 2 - 1
             twice = (
-                self._answer(color, points, pixels, category),
-                self._answer(color.flip(2, 3), over, last - pixels, category),
+                self.answer(color, points, pixels, category),
+                self.answer(color.flip(2, 3), over, last - pixels, category),
             )
             logits, box = (torch.stack(pair).mean(dim=0) for pair in zip(*twice, strict=True))
         half = _HALF * box.sigmoid()
         return BinnedCoordinates(logits, decoded(logits), half, torch.stack([half, -half], dim=1))
 
-    def _answer(
+    def answer(
         self, color: Tensor, points: Tensor, pixels: Tensor, category: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Logits (b, 3, bins, n) of the bins, and of the half sides (b, 3)."""
@@ -224,14 +224,14 @@ class CropNOCS(CropEstimator):
     """
 
     def __init__(self, options: MethodOptions) -> None:
-        self._own, network = network_of("crop-nocs", PRESETS, CropNOCSNetwork, options)
+        self._own, self._network = network_of("crop-nocs", PRESETS, CropNOCSNetwork, options)
         if self._own.offsets and len(self._own.offsets) != len(self._own.categories):
             raise ToolkitError(
                 f"must be as many as categories, {len(self._own.categories)}",
                 field="offsets",
                 value=self._own.offsets,
             )
-        super().__init__(network, options)
+        super().__init__(self._network, options)
 
     def _segmented(self, views: Sequence[PoseView]) -> list[Segmented]:
         found = super()._segmented(views)
@@ -254,8 +254,9 @@ class CropNOCS(CropEstimator):
             if crop is None:
                 continue
             tried = stacked([crop] * len(numbers))
-            answer = self._run(tried.color, tried.points, tried.pixels, numbers)
-            bins = answer.logits.double().log_softmax(dim=2)
+            # Not upside down, too: that would double what it costs.
+            logits, _ = self._network.answer(tried.color, tried.points, tried.pixels, numbers)
+            bins = logits.double().log_softmax(dim=2)
             unsure = -(bins.exp() * bins).sum(dim=2).mean(dim=(1, 2)).cpu().numpy()
             evidence = offsets - self._own.trust * unsure
             before = chances[number, of_category]

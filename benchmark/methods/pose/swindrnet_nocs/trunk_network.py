@@ -31,6 +31,10 @@ from std_toolkit.errors import ToolkitError
 
 _REACH = 32.0  # pixels of an offset of 1
 
+# Of running statistics. Those of the pooled pyramid are of a few numbers for each image: with the
+# usual 0.1 the last few batches alone decide them, and the answers of a validation are worthless.
+_MOMENTUM = 0.01
+
 # Channels of the head at a quarter and at half of the resolution.
 _WAY_BACK = (64, 48)
 
@@ -79,6 +83,9 @@ class TrunkNOCSNetwork(nn.Module):
             ConvUnit(channels + quarter, wide, 3), ConvUnit(wide, wide, 3)
         )
         self.to_half = nn.Sequential(ConvUnit(wide + half, narrow, 3), ConvUnit(narrow, narrow, 3))
+        for module in self.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.momentum = _MOMENTUM
         self.classes = nn.Conv2d(narrow, CLASSES, 1)
         self.nocs = nn.Conv2d(narrow, 3, 1)
         self.middles = nn.Conv2d(narrow, 2, 1)
