@@ -84,7 +84,7 @@ class SwinNOCSConfig(FitSettings):
     trunk_weights: str | None = None
     instances: Literal["class", "piece", "middle"] = "class"
     least_pixels: int = 10
-    other: float = 0.6
+    other: float = 0.7
     apart: float = 8.0
 
     @property
