@@ -119,7 +119,7 @@ def grouped(
     y = np.clip(rows + middles[1, rows, columns], 0, h - 1)
     votes = np.zeros((h, w), np.float32)
     np.add.at(votes, (np.rint(y).astype(int), np.rint(x).astype(int)), 1)
-    votes = cv2.GaussianBlur(votes, (0, 0), apart / 3)
+    votes = np.asarray(cv2.GaussianBlur(votes, (0, 0), apart / 3), np.float32)
     side = 2 * round(apart) + 1
     around = cv2.dilate(votes, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
     peaks = np.argwhere((votes == around) & (votes > 0))

@@ -158,7 +158,8 @@ def _detail_channels(trunk: swindrnet_network.SwinDRNetwork) -> tuple[int, int]:
     """Channels of the trunk's maps at half and at a quarter of the resolution: the details of both
     streams, and what two decoders make of them."""
     encoder: Any = trunk.get_submodule("backbone_rgb_branch_details")
-    _, half, quarter = trunk.details_of_depth.steps
+    steps: Any = trunk.details_of_depth.steps
+    _, half, quarter = steps
     return (
         2 * (encoder.to_half.conv.out_channels + half.conv.out_channels),
         2 * (encoder.to_quarter.conv.out_channels + quarter.conv.out_channels),
