@@ -32,6 +32,7 @@ Renamed = Callable[[dict[str, Tensor], dict[str, Tensor]], dict[str, Tensor]]
 # Keys by which the weights of an architecture are known; the first whose prefixes all occur.
 ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("SwinDRNet's pose network", ("backbone_rgb_branch.", "decode_head_nocs.")),
+    ("heads of SwinDRNet's pose network", ("trunk_sha256", "to_quarter.", "middles.")),
     # Of the authors: it has decoders of depth too, and more blocks of fusion than SwinDRNet.
     ("SwinDRNet's pose network", ("cross_attention_0.cross_attn_layer.blocks.1.",)),
     (SWINDRNET, ("backbone_rgb_branch.", "decode_head_depth_restoration.")),

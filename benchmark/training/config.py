@@ -109,6 +109,7 @@ class TrainConfig:
         jitter: whether brightness, contrast and saturation are, as published for NLSPN.
         geometry: whether frames are turned, mirrored and enlarged, as published for NLSPN.
         replace: share of the frames in which some objects are measured otherwise.
+        paste: share of the frames into which objects of another frame are put.
         validate_every, checkpoint_every: steps; the first a multiple of the second.
         training, validation: hashes over the frames.
         beginning: hash of the file of weights to begin with, and of what it is; empty for none.
@@ -128,6 +129,7 @@ class TrainConfig:
     jitter: bool = False
     geometry: bool = False
     replace: float = 0.0
+    paste: float = 0.0
     validate_every: int
     checkpoint_every: int
     training: str
@@ -148,8 +150,9 @@ class TrainConfig:
                 field="validate_every",
                 value=self.validate_every,
             )
-        if not 0 <= self.replace <= 1:
-            raise ToolkitError("must be in [0, 1]", field="replace", value=self.replace)
+        for name in ("replace", "paste"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ToolkitError("must be in [0, 1]", field=name, value=getattr(self, name))
 
     def step_info(self, step: int) -> StepInfo:
         """Where a step stands, counted from 0; behind the end, at the end of the last phase."""

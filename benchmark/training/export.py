@@ -178,6 +178,8 @@ def _how(
                 "background, or the true one, drawn at every step",
             )
         )
+    if config.get("paste"):
+        rows.append(("pasted", f"objects of another frame into {config['paste']:g} of the frames"))
     if config.get("beginning") and not note.earlier:
         rows.append(("began with", f"{config['beginning']} (hash of the file)"))
     for stage in note.earlier:

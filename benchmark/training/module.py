@@ -89,6 +89,10 @@ class RestorerTraining(pl.LightningModule):
         }
 
     def _augmented(self, inputs: ModelInput) -> ModelInput:
+        if self.config.paste:
+            from benchmark.training.augmentation import pasted
+
+            inputs = pasted(inputs, self.config.paste)
         if self.config.geometry:
             from benchmark.training.augmentation import moved
 

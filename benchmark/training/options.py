@@ -75,6 +75,8 @@ class TrainOptions:
     replace: Share = 0.0
     """share of the frames in which some objects have no depth, that of the background, or the true
     one"""
+    paste: Share = 0.0
+    """share of the frames into which objects of another frame of the batch are put"""
     precision: Precision = "fp32"
     """arithmetic of the network"""
     seed: int = 0

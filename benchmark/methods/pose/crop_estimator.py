@@ -219,7 +219,7 @@ class CropEstimator:
 
     def _known_classes(self, found: Segmented) -> Segmented:
         known = np.isin(found.class_ids, list(self._places))
-        return Segmented(found.class_ids[known], found.scores[known], found.masks[known])
+        return found.of(known)
 
     def _crops(self, view: PoseView, found: Segmented) -> list[Crop | None]:
         color = torch.from_numpy(view.color).to(self.device).permute(2, 0, 1).float() / 255

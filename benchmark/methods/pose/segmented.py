@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +34,8 @@ class Segmented:
         class_ids: (N,) int64, 1 bottle to 7 aeroplane.
         scores: (N,) float64 confidences in [0, 1].
         masks: (N, h, w) bool pixels of each; they may overlap.
+        chances: (N, 8) float64 of each class, 0 an object of none; None where only the classes
+            above are known.
 
     Raises:
         ToolkitError: arrays that do not belong together.
@@ -42,10 +44,12 @@ class Segmented:
     class_ids: NDArray[np.int64]
     scores: NDArray[np.float64]
     masks: NDArray[np.bool_]
+    chances: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.class_ids)
-        if self.scores.shape != (n,) or self.masks.ndim != 3 or len(self.masks) != n:
+        fits = self.chances is None or len(self.chances) == n
+        if self.scores.shape != (n,) or self.masks.ndim != 3 or len(self.masks) != n or not fits:
             raise ToolkitError(
                 f"classes, scores and masks of {n} objects do not belong together",
                 value=(self.class_ids.shape, self.scores.shape, self.masks.shape),
@@ -59,7 +63,12 @@ class Segmented:
         if self.masks.shape[:0:-1] == size:
             return self
         masks = [resize_nearest(mask, size) for mask in self.masks]
-        return Segmented(self.class_ids, self.scores, _stacked(masks, size[::-1]))
+        return replace(self, masks=_stacked(masks, size[::-1]))
+
+    def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Segmented:
+        """Some of the objects, by (N,) bool or by their places."""
+        chances = None if self.chances is None else self.chances[chosen]
+        return Segmented(self.class_ids[chosen], self.scores[chosen], self.masks[chosen], chances)
 
 
 def true_segments(mask: NDArray[np.uint8], instances: Sequence[Instance]) -> Segmented:

@@ -18,10 +18,11 @@ from torch.nn.functional import (
     smooth_l1_loss,
 )
 
+from benchmark.data.frame import BACKGROUND
 from benchmark.methods.pose.nocs.detector import Boxes, Regions, boxes_of, nearest_pixels
 from benchmark.methods.pose.nocs.nocs import NOCSPrediction
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import SwinNOCSPrediction
-from benchmark.training.step import Loss, mean_where
+from benchmark.training.step import Loss, mean_where, weighted_mean
 
 TURNS = 6  # about y, 60 degrees apart, as published for NOCS and for SwinDRNet's pose network
 
@@ -36,6 +37,8 @@ _NEAR = 1.5  # strides around an object's middle that answer for it
 _WIDTHS = 8  # strides that an object is wide at most on its level
 
 _IDS = 256
+
+_MIDDLE_UNIT = 32.0  # pixels that count as 1 in the error of a middle
 
 
 def is_round(classes: Tensor) -> Tensor:
@@ -290,7 +293,9 @@ class PoseTarget(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class SwinNOCSLoss:
     """Cross entropy of the classes, over all pixels, + `coordinates` * (smooth L1 of x, y and z +
-    `distance` * root of the mean squared distance), over the pixels of objects of a class.
+    `distance` * root of the mean squared distance), over the pixels of objects of a class; of a
+    network that says where middles are also `middles` * smooth L1 of these, over the pixels of all
+    objects, in shares of 32 pixels.
 
     Of bottles, bowls and cans the turn of six counts that is nearest to the answer.
 
@@ -298,15 +303,23 @@ class SwinNOCSLoss:
         classes, coordinates, distance: weights; the published ones.
         turns: whether every `instance` is turned for itself, or all of an `image` together, as in
             the authors' program, which two round objects contradict.
+        objects: how many times as much a pixel of an object counts as others, for the classes.
+        middles: weight of the middles.
     """
 
     classes: float = 1.0
     coordinates: float = 3.0
     distance: float = 1.0
     turns: Literal["instance", "image"] = "instance"
+    objects: float = 1.0
+    middles: float = 1.0
 
     def __call__(self, prediction: SwinNOCSPrediction, target: PoseTarget) -> Loss:
-        entropy = cross_entropy(prediction.classes, target.classes)
+        there = target.mask != BACKGROUND
+        counts = there.to(prediction.classes.dtype) * (self.objects - 1) + 1
+        entropy = weighted_mean(
+            cross_entropy(prediction.classes, target.classes, reduction="none"), counts
+        )
         image = torch.arange(len(target.mask), device=target.mask.device)[:, None, None]
         group = image.expand(target.mask.shape)
         if self.turns == "instance":
@@ -318,7 +331,32 @@ class SwinNOCSLoss:
         square = mean_where((prediction.nocs - true).square().sum(dim=1), target.known)
         # The root's gradient is infinite at 0, where a batch without objects is.
         root = square.clamp(min=1e-12).sqrt()
-        return Loss(
-            self.classes * entropy + self.coordinates * (smooth + self.distance * root),
-            {"classes": entropy.detach(), "smooth": smooth.detach(), "distance": root.detach()},
-        )
+        total = self.classes * entropy + self.coordinates * (smooth + self.distance * root)
+        parts = {"classes": entropy, "smooth": smooth, "distance": root}
+        if prediction.middles is not None:
+            off = smooth_l1_loss(
+                prediction.middles / _MIDDLE_UNIT,
+                to_middles(target.mask) / _MIDDLE_UNIT,
+                reduction="none",
+                beta=BEND,
+            )
+            parts["middles"] = mean_where(off.sum(dim=1), there)
+            total = total + self.middles * parts["middles"]
+        return Loss(total, {name: part.detach() for name, part in parts.items()})
+
+
+def to_middles(mask: Tensor) -> Tensor:
+    """(b, 2, h, w) from each pixel of (b, h, w) uint8 instance ids to the mean place of the
+    instance's pixels, x and y in pixels."""
+    b, h, w = mask.shape
+    ids = mask.flatten(1).long()
+    v, u = torch.meshgrid(
+        torch.arange(h, device=mask.device), torch.arange(w, device=mask.device), indexing="ij"
+    )
+    places = torch.stack([u, v]).flatten(1).float().expand(b, 2, h * w)
+    sums = torch.zeros(b, 2, _IDS, device=mask.device)
+    sums.scatter_add_(2, ids[:, None].expand(-1, 2, -1), places)
+    counts = torch.zeros(b, _IDS, device=mask.device)
+    counts.scatter_add_(1, ids, torch.ones_like(places[:, 0]))
+    means = sums / counts.clamp(min=1)[:, None]
+    return (means.gather(2, ids[:, None].expand(-1, 2, -1)) - places).unflatten(2, (h, w))

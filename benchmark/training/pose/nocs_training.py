@@ -187,7 +187,7 @@ def swin_nocs_step(network: nn.Module, loss: Any, inputs: ModelInput, step_info:
     """The step of SwinDRNet's pose network."""
     prediction = network(inputs.color, points_of(inputs.depth, inputs.batch["K"]))
     with torch.autocast(inputs.color.device.type, enabled=False):
-        full = SwinNOCSPrediction(*(part.float() for part in prediction))
+        full = SwinNOCSPrediction(*(None if p is None else p.float() for p in prediction))  # type: ignore[arg-type]
         return loss(full, pose_target(inputs.batch))
 
 

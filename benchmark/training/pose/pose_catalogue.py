@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from benchmark.methods.depth.swindrnet.swindrnet import begin_streams
 from benchmark.methods.pose.crop_nocs import PRESETS as CROP_NOCS
@@ -15,7 +16,7 @@ from benchmark.methods.pose.sgpa import PRESETS as SGPA
 from benchmark.methods.pose.sgpa import SGPANetwork
 from benchmark.methods.pose.spd_network import PRESETS as SPD
 from benchmark.methods.pose.spd_network import SPDNetwork, load_imagenet
-from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import begin_pose_network
+from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import begin_pose_network, pose_network
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import PRESETS as SWINDRNET_NOCS
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import SwinNOCSNetwork
 from benchmark.training.catalogue import Trainable
@@ -28,6 +29,7 @@ from benchmark.training.pose import (
     nocs_losses,
     nocs_training,
 )
+from std_toolkit.errors import ToolkitError
 
 CROP_NOCS_TRAINING = Trainable(
     presets=CROP_NOCS,
@@ -84,7 +86,14 @@ SGPA_TRAINING = Trainable(
 )
 
 
-def _swin_imagenet(network: SwinNOCSNetwork, path: Path) -> None:
+def _swin_imagenet(network: Any, path: Path) -> None:
+    if not isinstance(network, SwinNOCSNetwork):
+        raise ToolkitError(
+            "a network with a frozen trunk has no streams to begin",
+            field="trunk",
+            value=network.config.trunk,
+            hint="leave --imagenet away, or train with --set trunk=own",
+        )
     begin_streams([network.backbone_rgb_branch, network.backbone_xyz_branch], path)
 
 
@@ -96,7 +105,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     presets=SWINDRNET_NOCS,
     # The preset is the network of the authors' weights; trained is the paper's.
     settings={"published": {"fusion": "paper"}},
-    network=SwinNOCSNetwork,
+    network=pose_network,
     frames=fitting_frames_with_nocs,
     loss=nocs_losses.SwinNOCSLoss(),
     step=nocs_training.swin_nocs_step,
@@ -104,6 +113,7 @@ SWINDRNET_NOCS_TRAINING = Trainable(
     # As SwinDRNet: what the paper says of both.
     optimization=Optimization(warmup_steps=500),
     colors=True,
+    geometry=False,
     imagenet=_swin_imagenet,
     begin=begin_pose_network,
     idle=lambda config: config.fusion == "released",

@@ -32,7 +32,7 @@ def a_scene(count: int) -> ModelInput:
     batch = {
         "color": torch.zeros(1), "raw": torch.zeros(1), "true": true[:, 0], "mask": mask,
         "materials": torch.zeros(count, 256), "K": K.expand(count, 3, 3),
-        "index": torch.arange(count), "nocs": torch.zeros(1),
+        "index": torch.arange(count), "more": torch.zeros(1),
     }  # fmt: skip
     return ModelInput(color, depth, batch)
 

@@ -175,11 +175,11 @@ def test_packs_without_nocs_are_refused(method, data, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("method", TINY)
-def test_frames_are_not_turned_for_poses(method, pack):
-    """Geometric augmentation would have to turn coordinates too."""
+def test_frames_are_turned_for_swindrnet_only_where_asked(pack):
+    assert not plan_training(asked("swindrnet-nocs", pack))[0].geometry
+    assert plan_training(asked("swindrnet-nocs", pack, geometry="on"))[0].geometry
     with pytest.raises(ToolkitError, match="geometry"):
-        plan_training(asked(method, pack, geometry="on"))
+        plan_training(asked("nocs", pack, geometry="on"))
 
 
 def test_loose_and_known_pixels_do_not_depend_on_the_order_of_frames(pack):
@@ -204,7 +204,8 @@ def test_small_networks_are_trained_and_shipped(
     run = tmp_path / "run"
     words = ["--method", method, "--preset", "small", "--data", str(pack), "--out", str(run)]
     words += ["--steps", "2", "--batch-size", "2", "--hold-out", "0.3", "--readers", "0"]
-    words += ["--accelerator", "cpu", "--set", f"input_size={SIDE},{SIDE}"]
+    words += ["--accelerator", "cpu", "--set", f"input_size={SIDE},{SIDE}", "--paste", "0.5"]
+    words += ["--geometry", "on"] if method == "swindrnet-nocs" else []
     assert main(words) == 0
     state = {k: t.half() for k, t in load_file(run / "best.safetensors").items()}
     file = tmp_path / f"{method}-small.safetensors"
@@ -214,6 +215,8 @@ def test_small_networks_are_trained_and_shipped(
     # Two such files must fit into 10 MB.
     assert file.stat().st_size < 5_500_000
     settings = {"masks": "true"} if method == "spd" else {}
+    for trunk in registry.SHIPPED.glob("swindrnet-compact.safetensors*"):
+        (tmp_path / trunk.name).symlink_to(trunk)
     monkeypatch.setattr(registry, "SHIPPED", tmp_path)
     preset = registry.preset_for(method, None, None)
     assert preset == "small"

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmark.methods import weights
 from benchmark.methods.pose.pose_network import Found, NetworkEstimator, points_of
-from benchmark.methods.pose.segmented import Segmented
 from benchmark.methods.pose.swindrnet_nocs import swindrnet_nocs_network
+from benchmark.methods.pose.swindrnet_nocs.instances import segments_of
+from benchmark.methods.pose.swindrnet_nocs.trunk_network import TrunkNOCSNetwork
 from benchmark.methods.registry import MethodOptions, configured, preset_of
 
 _LAST = ".conv_seg.weight"
@@ -42,7 +40,7 @@ class SwinDRNetNOCS(NetworkEstimator):
         self.config = configured(
             preset_of(swindrnet_nocs_network.PRESETS, options.preset), options.settings
         )
-        network = swindrnet_nocs_network.SwinNOCSNetwork(self.config)
+        network = pose_network(self.config)
         self.flipped = load_pose_weights(network, weights.weights_for("swindrnet-nocs", options))
         super().__init__(network, options, self.config)
 
@@ -55,57 +53,46 @@ class SwinDRNetNOCS(NetworkEstimator):
         if self.flipped:
             nocs[:, 2] = 1 - nocs[:, 2]
         coordinates = nocs.permute(0, 2, 3, 1).cpu().numpy()
+        likely = chances.cpu().numpy()
+        middles = [None] * len(likely)
+        if outputs.middles is not None:
+            middles = list(outputs.middles.float().cpu().numpy())
         return [
-            Found(segments_of(likely, self.config), c)
-            for likely, c in zip(chances.cpu().numpy(), coordinates, strict=True)
+            Found(segments_of(each, self.config, to_middle), c)
+            for each, to_middle, c in zip(likely, middles, coordinates, strict=True)
         ]
 
 
-def segments_of(
-    chances: NDArray[np.float32], config: swindrnet_nocs_network.SwinNOCSConfig
-) -> Segmented:
-    """The objects of an image, best first; a score is the mean chance of the object's pixels.
+def pose_network(
+    config: swindrnet_nocs_network.SwinNOCSConfig,
+) -> swindrnet_nocs_network.SwinNOCSNetwork | TrunkNOCSNetwork:
+    """The network of a configuration.
 
-    Args:
-        chances: (9, h, w) of each class at each pixel.
-        config: what counts as an object.
+    Raises:
+        ToolkitError: the weights of its trunk cannot be read.
     """
-    best = chances.argmax(axis=0)
-    classes: list[int] = []
-    scores: list[float] = []
-    masks: list[NDArray[np.bool_]] = []
-    for class_id in range(1, swindrnet_nocs_network.BACKGROUND_CLASS):
-        for mask in _objects(best == class_id, config.instances):
-            if mask.sum() >= config.least_pixels:
-                classes.append(class_id)
-                scores.append(float(chances[class_id][mask].mean()))
-                masks.append(mask)
-    order = np.argsort([-score for score in scores], kind="stable").astype(int)
-    h, w = best.shape
-    return Segmented(
-        np.array(classes, np.int64)[order],
-        np.array(scores, np.float64)[order],
-        np.array(masks, bool).reshape(-1, h, w)[order],
-    )
+    if config.trunk == "own":
+        return swindrnet_nocs_network.SwinNOCSNetwork(config)
+    return TrunkNOCSNetwork(config)
 
 
-def _objects(mask: NDArray[np.bool_], instances: str) -> list[NDArray[np.bool_]]:
-    if instances == "class" or not mask.any():
-        return [mask] if mask.any() else []
-    count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    return [labels == number for number in range(1, count)]
-
-
-def load_pose_weights(network: swindrnet_nocs_network.SwinNOCSNetwork, path: Path) -> bool:
+def load_pose_weights(
+    network: swindrnet_nocs_network.SwinNOCSNetwork | TrunkNOCSNetwork, path: Path
+) -> bool:
     """Read the network's weights from a file.
 
     Returns:
         Whether they are the authors', so that the network answers 1 - z in the place of z.
 
     Raises:
-        ToolkitError: the file cannot be read, or holds weights of another network.
+        ToolkitError: the file cannot be read, or holds weights of another network, or of another
+            trunk.
     """
     state = weights.read_weights(path)
+    if isinstance(network, TrunkNOCSNetwork):
+        network.check_trunk(state, path)
+        weights.load_weights(network, path)
+        return False
     own = f"decode_head_nocs{_LAST}" in state
     authors = not own and {len(t) for k, t in state.items() if k.endswith(_LAST)} >= {*_OWN_NAMES}
     if authors:
@@ -116,7 +103,9 @@ def load_pose_weights(network: swindrnet_nocs_network.SwinNOCSNetwork, path: Pat
     return authors
 
 
-def begin_pose_network(network: swindrnet_nocs_network.SwinNOCSNetwork, path: Path) -> None:
+def begin_pose_network(
+    network: swindrnet_nocs_network.SwinNOCSNetwork | TrunkNOCSNetwork, path: Path
+) -> None:
     """Give a network, before it is trained, the weights of a file.
 
     Args:
@@ -127,6 +116,9 @@ def begin_pose_network(network: swindrnet_nocs_network.SwinNOCSNetwork, path: Pa
     Raises:
         ToolkitError: the file cannot be read, or holds weights of another network or other sizes.
     """
+    if isinstance(network, TrunkNOCSNetwork):
+        load_pose_weights(network, path)
+        return
     state = weights.read_weights(path)
     if weights.architecture_of(state) != weights.SWINDRNET:
         weights.load_weights(network, path)  # not the authors', whose z is turned

@@ -32,7 +32,7 @@ _DEPTH_IMAGES = {"backbone_rgb_branch": 3, "backbone_xyz_branch": 2}
 
 # What the first answers are about: background, as most pixels are, and the cube's middle. Weights
 # as small as those of restored depth, which begins as the sensor's, would keep them there for long.
-_BACKGROUND_FIRST, _MIDDLE = 3.0, 0.5
+BACKGROUND_FIRST, MIDDLE = 3.0, 0.5
 
 _SPREAD = 0.25
 
@@ -56,9 +56,14 @@ class SwinNOCSConfig(FitSettings):
             points, and details are kept: `relative` and `details` of `SwinDRNetConfig`.
         drop_path, dropout: chances in training to leave a block, and a channel, out.
         input_size: (width, height) of the images.
-        instances: what counts as an object: all pixels of a `class`, as published, or each
-            connected `piece` of them.
+        trunk: whether the streams are the network's `own`, or those of compact `swindrnet`, the
+            depth restorer, which are not trained (`trunk_network`).
+        trunk_weights: file of the restorer's weights; by default those that ship.
+        instances: what counts as an object: all pixels of a `class`, as published, each
+            connected `piece` of them, or all pixels that point to the same `middle`.
         least_pixels: pixels of an object at least, at the network's size.
+        other: chance of no class from which on an object is left out; for `middle`.
+        apart: least distance between the middles of two objects, pixels; for `middle`.
         fit, threshold_m: of poses, see `FitSettings`.
     """
 
@@ -75,8 +80,12 @@ class SwinNOCSConfig(FitSettings):
     drop_path: float = 0.2
     dropout: float = 0.1
     input_size: tuple[int, int] = (224, 224)
-    instances: Literal["class", "piece"] = "class"
+    trunk: Literal["own", "swindrnet"] = "own"
+    trunk_weights: str | None = None
+    instances: Literal["class", "piece", "middle"] = "class"
     least_pixels: int = 10
+    other: float = 0.7
+    apart: float = 8.0
 
     @property
     def level_channels(self) -> tuple[int, ...]:
@@ -105,11 +114,10 @@ PRESETS = {
     "compact": _COMPACT,
     "small": replace(
         _COMPACT,
-        channels=16,
-        head_channels=32,
+        trunk="swindrnet",
+        head_channels=64,
         drop_path=0.0,
-        dropout=0.0,
-        instances="piece",
+        instances="middle",
         least_pixels=20,
     ),
 }
@@ -121,10 +129,13 @@ class SwinNOCSPrediction(NamedTuple):
     Attributes:
         classes: (b, 9, h, w) logits: 0 other, 1 to 7 the classes, 8 background.
         nocs: (b, 3, h, w) normalised coordinates x y z, in [0, 1] on objects; not limited.
+        middles: (b, 2, h, w) how far the middle of a pixel's object is away, x and y in pixels;
+            None of a network that does not say it.
     """
 
     classes: Tensor
     nocs: Tensor
+    middles: Tensor | None = None
 
 
 class SwinNOCSNetwork(SwinStreams):
@@ -147,8 +158,8 @@ class SwinNOCSNetwork(SwinStreams):
         if config.details:
             self.details_of_classes = DetailDecoder(config.head_channels, len(images), CLASSES)
             self.details_of_nocs = DetailDecoder(config.head_channels, len(images), 3)
-            _begin(self.details_of_classes.last, {BACKGROUND_CLASS: _BACKGROUND_FIRST})
-            _begin(self.details_of_nocs.last, dict.fromkeys(range(3), _MIDDLE))
+            begin(self.details_of_classes.last, {BACKGROUND_CLASS: BACKGROUND_FIRST})
+            begin(self.details_of_nocs.last, dict.fromkeys(range(3), MIDDLE))
         self.add_fusion(self._fusion)
 
     def forward(self, color: Tensor, points: Tensor) -> SwinNOCSPrediction:
@@ -174,7 +185,7 @@ class SwinNOCSNetwork(SwinStreams):
         return AttendingFusion(channels, config.depths[level], config.heads[level], config.window)
 
 
-def _begin(last: nn.Conv2d, answers: Mapping[int, float]) -> None:
+def begin(last: nn.Conv2d, answers: Mapping[int, float]) -> None:
     """Begin a layer with answers of some of its channels."""
     nn.init.normal_(last.weight, std=_SPREAD)
     assert last.bias is not None

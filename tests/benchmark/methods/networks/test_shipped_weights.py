@@ -12,8 +12,16 @@ from network_cases import frames
 from benchmark.cli.bench import main as bench
 from benchmark.evaluation.tasks.depth_results import read_results
 from benchmark.evaluation.tasks.pose_results import read_pose_results, score_run
-from benchmark.methods.protocol import View
-from benchmark.methods.registry import SHIPPED, MethodOptions, make_restorer, restorers, sha256_of
+from benchmark.methods.protocol import PoseView, View
+from benchmark.methods.registry import (
+    SHIPPED,
+    MethodOptions,
+    make_pose_method,
+    make_restorer,
+    preset_for,
+    restorers,
+    sha256_of,
+)
 from benchmark.methods.weights import read_weights
 from benchmark.metrics.pose import get_pose_protocol
 from benchmark.report.leaderboard import make_board
@@ -23,7 +31,7 @@ FILES = sorted(SHIPPED.glob("*.safetensors"))
 METHODS = [
     name for path in FILES if (name := path.stem.removesuffix("-compact")) in restorers.names()
 ]
-POSES = ("crop-nocs-compact",)
+POSES = ("crop-nocs-compact", "swindrnet-nocs-small")
 _MB = 10**6
 
 
@@ -36,6 +44,19 @@ def test_what_is_shipped_is_small_enough():
 def test_pose_networks_are_small_enough():
     sizes = [SHIPPED.joinpath(f"{name}.safetensors").stat().st_size for name in POSES]
     assert sum(sizes) <= 10 * _MB
+
+
+def test_crop_nocs_finds_its_masks_without_settings() -> None:
+    """The second shipped pose network segments for the first."""
+    preset = preset_for("crop-nocs", None, None)
+    assert (preset, preset_for("swindrnet-nocs", None, None)) == ("compact", "small")
+    method = make_pose_method("crop-nocs", MethodOptions(preset=preset))
+    rng = np.random.default_rng(0)
+    color = rng.integers(0, 255, (126, 224, 3)).astype(np.uint8)
+    depth = np.full((126, 224), 0.7, np.float32)
+    (found,) = method.estimate([PoseView(color, depth, depth, Camera(224, 126, 240, 240, 112, 63))])
+    assert not method.needs_truth
+    assert found.prediction.RT.shape[1:] == (4, 4)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
