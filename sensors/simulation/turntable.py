@@ -21,32 +21,30 @@ from numpy.typing import NDArray
 
 from sensors.lighting.environment import read_environment
 from sensors.lighting.environment_sources import studio_map
-from sensors.materials.material_draw import DrawnMaterial, DrawnTexture, Glass, draw_material
+from sensors.materials.material_draw import draw_material
 from sensors.render.color_image import ColorResponse, denoise, develop
 from sensors.render.sim_renderer import SIM_RENDERERS, LoadedScene, RenderOptions
 from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh, TruthCaster
 from sensors.simulation.options import TurntableOptions
+from sensors.simulation.turntable_objects import (
+    GAP_M,
+    OBJECT_ID,
+    mesh_object,
+    sheet_objects,
+    standing_pose,
+    turntable_material,
+)
 from sensors.viewpoints.views import look_at
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
-from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
-from std_toolkit.geometry.surface_colors import SurfaceColors
+from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.importers.foreign_files import write_mesh
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.poses.board_sheet import BoardSheet, make_board_sheet
+from std_toolkit.poses.board_sheet import make_board_sheet
 from std_toolkit.scene.model import CameraModel
-
-OBJECT_ID = 1
-
-# The sheet lies on the table and the object on the sheet, with gaps that no photo shows: surfaces
-# in one place would flicker.
-_GAP_M = 1e-4
-
-# One object fills the photo: print on it is as fine as the photo's pixels.
-_LARGEST_TEXTURE = 4096
 
 _TABLE_HALF_M = 1.2
 _PLATTER_M = 0.24
@@ -134,7 +132,7 @@ class Turntable:
     def __init__(self, options: TurntableOptions) -> None:
         self._o = options
         mesh = load_mesh(options.mesh, unit=options.mesh_unit)
-        self.T_world_obj = _standing(mesh, options)
+        self.T_world_obj = standing_pose(mesh, options)
         self.sheet = make_board_sheet(options.paper)
         focal = options.width / 2 / np.tan(np.deg2rad(options.fov_deg) / 2)
         self.camera = Camera(
@@ -162,13 +160,13 @@ class Turntable:
 
     def subject(self) -> SceneObject:
         """The object on the board, with its material and texture."""
-        return _scene_object(self._mesh, _material(self._o), self.T_world_obj)
+        return mesh_object(self._mesh, turntable_material(self._o), self.T_world_obj)
 
     def load(self) -> None:
         """Prepare renderer and scene."""
         floor = self._table()
         self._floor = floor
-        scene = SimScene((floor, *_sheet_objects(self.sheet), self.subject()), self._environment)
+        scene = SimScene((floor, *sheet_objects(self.sheet), self.subject()), self._environment)
         self._caster = TruthCaster(scene)
         self._scene: LoadedScene = SIM_RENDERERS.get("mitsuba")().load(scene)
         self._exposure: float | None = None
@@ -267,7 +265,7 @@ class Turntable:
         return SceneObject(
             0,
             SurfaceMesh(vertices, faces),
-            SE3(np.eye(3), np.array([0, 0, -2 * _GAP_M])),
+            SE3(np.eye(3), np.array([0, 0, -2 * GAP_M])),
             wood,
         )
 
@@ -286,117 +284,6 @@ class Turntable:
                 T_world_obj=self.T_world_obj.flat(),
             ),
         )
-
-
-def _standing(mesh: Any, options: TurntableOptions) -> SE3:
-    """T_world_obj of the mesh on the middle of the board."""
-    to_z = {
-        "x": so3_exp(np.array([0, -np.pi / 2, 0])),
-        "y": so3_exp(np.array([np.pi / 2, 0, 0])),
-        "z": np.eye(3),
-    }
-    R = to_z[options.up]
-    if options.flipped:
-        R = so3_exp(np.array([np.pi, 0, 0])) @ R
-    turned = mesh.copy()
-    turned.vertices = mesh.vertices @ R.T
-    low, high = mesh_bounds(turned)
-    middle = (low + high) / 2
-    return SE3(R, np.array([-middle[0], -middle[1], _GAP_M - low[2]]))
-
-
-def _material(options: TurntableOptions) -> DrawnMaterial:
-    rng = np.random.default_rng([options.seed, 9])
-    if options.material == "glass":
-        return DrawnMaterial(
-            name="glass_clear",
-            material_class="transparent",
-            color=(0.97, 0.985, 0.98),
-            own_share=0.0,
-            glass=Glass(ior=1.5, roughness=0.0, transmission=0.95, bend=1.0),
-        )
-    if options.material == "steel":
-        return draw_material(rng, "specular", name="steel_polished")
-    if options.material == "sprayed":
-        # Titanium dioxide: bright, rough, with a slight grain.
-        return DrawnMaterial(
-            name="sprayed",
-            material_class="diffuse",
-            color=(0.72, 0.72, 0.71),
-            own_share=0.0,
-            roughness=0.95,
-            specular=0.1,
-            texture=DrawnTexture(kind="grain", tile_m=0.05, contrast=0.06, seed=options.seed),
-        )
-    return _own_look(roughness=0.6, specular=0.25)
-
-
-def _own_look(*, roughness: float, specular: float) -> DrawnMaterial:
-    """A material that shows the colours of the object."""
-    return DrawnMaterial(
-        name="raw",
-        material_class="raw",
-        color=(0.5, 0.5, 0.5),
-        own_share=1.0,
-        roughness=roughness,
-        specular=specular,
-    )
-
-
-def _scene_object(mesh: Any, material: DrawnMaterial, T_world_obj: SE3) -> SceneObject:
-    """The mesh with its own texture or colours."""
-    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
-    visual = mesh.visual
-    texture, uv, color = None, None, (0.5, 0.5, 0.5)
-    if visual.kind == "texture":
-        look = SurfaceColors.from_mesh(mesh, largest=None)
-        if look is not None and look.texture is not None:
-            texture = look.texture.astype(np.uint8)
-            # A corner each: at seams, one vertex has several coordinates.
-            uv = look.corners.reshape(-1, 2).astype(np.float64)
-            vertices = vertices[faces].reshape(-1, 3)
-            faces = np.arange(len(vertices)).reshape(-1, 3)
-    elif visual.defined:
-        rgb = np.asarray(visual.vertex_colors, np.float64)[:, :3].mean(axis=0) / 255
-        color = tuple(float(c) ** 2.2 for c in rgb)
-    return SceneObject(
-        OBJECT_ID,
-        SurfaceMesh(vertices, faces, uv),
-        T_world_obj,
-        material,
-        texture=texture,
-        color=color,
-        largest_texture=_LARGEST_TEXTURE,
-    )
-
-
-def _sheet_objects(sheet: BoardSheet) -> tuple[SceneObject, SceneObject]:
-    """Paper, and the black cells on it as surfaces: an image would blur their edges."""
-    width, height = sheet.paper_mm
-    parts = []
-    for number, level, rectangles, shade in (
-        (2, -_GAP_M / 2, [(-width / 2, -height / 2, width, height)], 0.82),
-        (3, -_GAP_M / 4, sheet.cells(), 0.015),
-    ):
-        corners = [
-            [[x, y, 0], [x + w, y, 0], [x + w, y + h, 0], [x, y + h, 0]]
-            for x, y, w, h in rectangles
-        ]
-        first = 4 * np.arange(len(corners))[:, None]
-        parts.append(
-            SceneObject(
-                number,
-                SurfaceMesh(
-                    np.asarray(corners, np.float64).reshape(-1, 3) / 1000,
-                    (first[:, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3),
-                ),
-                SE3(np.eye(3), np.array([0, 0, level])),
-                # Ink is not black and paper not white.
-                _own_look(roughness=0.8, specular=0.2),
-                color=(shade, shade, shade),
-            )
-        )
-    return parts[0], parts[1]
 
 
 def _defocus(

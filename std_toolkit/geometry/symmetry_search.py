@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.geometry.colored_points import FOLDS, GENERIC, ColoredPoints
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3, rotation_angle, so3_exp, so3_log
 from std_toolkit.geometry.surface_colors import SurfaceColors
@@ -50,23 +51,11 @@ _FARTHEST = 4.0
 # and after a rough alignment in tolerances.
 _HOPELESS, _PROMISING = 0.15, 3.0
 
-_FOLDS = (12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
-
-# Angles about an axis that no regular polygon of few corners repeats after.
-_GENERIC = tuple(2 * np.pi * x for x in (0.093, 0.269, 0.382, 0.41, 0.477))
-
 # Edges that are bent by more than this are part of the shape and not of its error.
 _CREASE = np.deg2rad(40)
 
 # Refined axes nearer than this to a mesh axis are the mesh axis if it fits as well.
 _NICE = np.deg2rad(2)
-
-# Colours are averaged within this distance, in parts of the diagonal: after a turn, fine print of
-# an inexact mesh does not lie on itself.
-_BLUR = 0.02
-
-# Colours differ, in grey levels, and the part of the surface that may differ: shading, dirt, grain.
-_OTHER_COLOR, _OTHER_SHARE = 40.0, 0.125
 
 _STEPS_OF_A_TURN = 12
 
@@ -192,11 +181,11 @@ class _Search:
         if colors is not None:
             corners = vertices[faces[face]]
             normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            self._colors = _ColoredPoints(
+            self._colors = ColoredPoints(
                 self._all,
                 normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12),
                 colors.at(face, weights),
-                _BLUR * self._diagonal,
+                self._diagonal,
             )
 
     def _closest(self, points: Array) -> tuple[Array, Array]:
@@ -226,8 +215,6 @@ class _Search:
             0.0 if self._colors is None else self._colors.other_share(turn),
             self._within(distances),
         )
-
-    # --- the shape --------------------------------------------------------------------------------
 
     def shape(self) -> Symmetry:
         """The rotation group of the surface."""
@@ -266,10 +253,10 @@ class _Search:
 
     def _about(self, direction: Array) -> _Axis | None:
         """The axis near a direction with its order."""
-        generic = self._refined(direction, _GENERIC[2])
-        if generic is not None and all(self._fits(generic.turn(a)) for a in _GENERIC):
-            return self._nice(generic, 0, _GENERIC)
-        for order in _FOLDS:
+        generic = self._refined(direction, GENERIC[2])
+        if generic is not None and all(self._fits(generic.turn(a)) for a in GENERIC):
+            return self._nice(generic, 0, GENERIC)
+        for order in FOLDS:
             axis = self._refined(direction, 2 * np.pi / order)
             if axis is None:
                 continue
@@ -348,69 +335,9 @@ class _Search:
             return _Axis(nearest, axis.point, order, worst[0])
         return axis
 
-    # --- the look ---------------------------------------------------------------------------------
-
     def appearance(self, shape: Symmetry) -> Symmetry:
         """The part of a shape's symmetries that the colours keep."""
-        colors = self._colors
-        if colors is None or shape.is_trivial:
-            return shape
-
-        def keeps(turn: SE3) -> bool:
-            return colors.other_share(turn) <= _OTHER_SHARE
-
-        if shape.is_spherical:
-            free = [k for k in range(len(shape.continuous)) if self._keeps_axis(shape, k)]
-            if len(free) == len(shape.continuous):
-                return shape
-            return Symmetry(continuous=tuple(shape.continuous[k] for k in free))
-        if shape.continuous:
-            if self._keeps_axis(shape, 0):
-                kept = [T for T in shape.discrete_transforms()[1:] if keeps(T)]
-                return Symmetry(tuple(_flat(T) for T in kept), shape.continuous)
-            for order in _FOLDS:
-                turns = [shape.turn(0, 2 * np.pi * k / order) for k in range(1, order)]
-                if all(keeps(T) for T in turns):
-                    return Symmetry(tuple(_flat(T) for T in turns))
-            return Symmetry()
-        return _largest_group([T for T in shape.discrete_transforms()[1:] if keeps(T)])
-
-    def _keeps_axis(self, shape: Symmetry, index: int) -> bool:
-        assert self._colors is not None
-        return all(self._colors.other_share(shape.turn(index, a)) <= _OTHER_SHARE for a in _GENERIC)
-
-
-class _ColoredPoints:
-    """Points on a surface with the colours around them.
-
-    Args:
-        points: (N, 3) metres; normals: (N, 3) unit; colors: (N, 3) RGB 0 to 255.
-        radius: distance within which colours are averaged, metres.
-    """
-
-    def __init__(self, points: Array, normals: Array, colors: Array, radius: float) -> None:
-        from scipy.spatial import cKDTree
-
-        self._points, self._normals = points, normals
-        self._tree = cKDTree(points)
-        self._radius = radius
-        near = self._tree.query_ball_point(points, radius)
-        self._colors = np.stack(
-            [
-                colors[k][normals[k] @ n > 0.5].mean(axis=0) if len(k) > 1 else colors[k[0]]
-                for k, n in zip(near, normals, strict=True)
-            ]
-        )
-
-    def other_share(self, turn: SE3) -> float:
-        """Part of the surface whose colours differ after a turn."""
-        distance, nearest = self._tree.query(turn @ self._points)
-        facing = ((self._normals @ turn.R.T) * self._normals[nearest]).sum(axis=1) > 0.5
-        compared = facing & (distance < 2 * self._radius)
-        if not compared.any():
-            return 1.0
-        apart = np.abs(self._colors - self._colors[nearest]).max(axis=1)
-        return float((apart[compared] > _OTHER_COLOR).mean())
+        return shape if self._colors is None else self._colors.kept(shape)
 
 
 def _symmetry(main: _Axis, others: Sequence[_Axis]) -> Symmetry:
@@ -418,25 +345,10 @@ def _symmetry(main: _Axis, others: Sequence[_Axis]) -> Symmetry:
     if main.order == 0:
         point = main.point - main.direction * (main.direction @ main.point)
         return Symmetry(
-            tuple(_flat(T) for T in turns), ((_triple(main.direction), _triple(point)),)
+            tuple(tuple(T.flat()) for T in turns), ((_triple(main.direction), _triple(point)),)
         )
     generators = [main.turn(2 * np.pi / main.order), *turns]
-    return Symmetry(tuple(_flat(T) for T in closed_group(generators)[1:]))
-
-
-def _largest_group(turns: Sequence[SE3]) -> Symmetry:
-    """The largest group within the given turns: some of them may pass by chance."""
-    best: list[SE3] = []
-    for start in [turns, *[[T] for T in turns]]:
-        group = closed_group(start)[1:]
-        inside = all(any(_same_turn(g, T) for T in turns) for g in group)
-        if inside and len(group) > len(best):
-            best = group
-    return Symmetry(tuple(_flat(T) for T in best))
-
-
-def _same_turn(a: SE3, b: SE3) -> bool:
-    return rotation_angle(a.R.T @ b.R) < SAME_AXIS
+    return Symmetry(tuple(tuple(T.flat()) for T in closed_group(generators)[1:]))
 
 
 def _cube_edge(points: Array) -> float:
@@ -458,7 +370,3 @@ def _perpendicular(direction: Array, axis: Array) -> Array:
 def _triple(v: Array) -> tuple[float, float, float]:
     x, y, z = (float(c) + 0.0 for c in v)
     return x, y, z
-
-
-def _flat(T: SE3) -> tuple[float, ...]:
-    return tuple(T.flat())

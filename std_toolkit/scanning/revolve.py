@@ -11,20 +11,27 @@ their outline is left out and its share reported.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, so3_exp
+from std_toolkit.scanning.outline_rays import (
+    OutlineRays,
+    TurnedProfile,
+    gap_at,
+    mask_outline,
+    outline_noise,
+    outline_rays,
+    ray_gaps,
+)
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scanning.rim_wall import wall_at_rim
 
 Array = NDArray[np.float64]
 
-# Rays that are used, samples along each, heights of the profile.
-_MOST_RAYS, _SAMPLES = 4000, 97
+# Steps between the heights of the profile, and their number.
 _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS = 0.001, 40, 260
 
 _ROUNDS = 12
@@ -45,7 +52,6 @@ _TILT_RAD = np.deg2rad(0.4)
 # Share of the outline that may be left out, and root mean square distance of the rest, before the
 # object is none of revolution.
 _LARGEST_OUTSIDE, _LARGEST_PX = 0.1, 3.0
-_FEWEST_VIEWS = 4
 
 # The last of a profile that is looked at for the cone of `_without_cone`, and its slope.
 _CONE_M, _CONE = 0.003, 1.2
@@ -65,8 +71,8 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
         ToolkitError: too few views with an outline, or an outline that is not that of a surface of
             revolution.
     """
-    points = [_outline(view.mask) for view in views]
-    rays = _outline_rays(views, points)
+    points = [mask_outline(view.mask) for view in views]
+    rays = outline_rays(views, points)
     state = _first_profile(rays, *_start(views, rays))
     return _fitted(views, rays, state, wall_m, _LARGEST_OUTSIDE)
 
@@ -92,23 +98,23 @@ def fit_outline_points(
     Raises:
         ToolkitError: as `fit_revolution`.
     """
-    rays = _outline_rays(views, points)
+    rays = outline_rays(views, points)
     top = float(heights[-1])
     count = int(np.clip(top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     line = np.interp(np.linspace(0, top, count), heights, radii)
-    start = _State(line, top, np.array([*centre, 0.0, 0.0]))
+    start = TurnedProfile(line, top, np.array([*centre, 0.0, 0.0]))
     return _fitted(views, rays, start, None, most_outside)
 
 
 def _fitted(
     views: Sequence[OutlineView],
-    rays: _Rays,
-    state: _State,
+    rays: OutlineRays,
+    state: TurnedProfile,
     wall_m: float | None,
     most_outside: float,
 ) -> RevolvedSurface:
     """Axis and profile by least squares from a start."""
-    sigma = _noise(rays, state)
+    sigma = outline_noise(rays, state)
     for _ in range(_ROUNDS // 2):
         state, sigma = _improved(rays, state, sigma)
     for _ in range(2):
@@ -118,7 +124,7 @@ def _fitted(
     state = _without_cone(state)
     for _ in range(_ROUNDS // 2):
         state, sigma = _improved(rays, state, sigma)
-    gap = _gaps(rays, state)
+    gap = ray_gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
     kept = np.abs(pixels) <= max(_OUTSIDE * sigma, _LARGEST_PX)
     outside = float((~kept).mean())
@@ -168,87 +174,7 @@ def _warnings(found: RevolvedSurface, *, known_wall: bool) -> list[str]:
     return sentences
 
 
-@dataclass(frozen=True, eq=False)
-class _Rays:
-    """Rays through outlines, world frame, and pixels per metre at their nearest point."""
-
-    origin: Array
-    direction: Array
-    px_per_m: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Radii at equal steps of height; height of the rim; axis: x, y at the table, two tilts."""
-
-    radii: Array
-    top: float
-    axis: Array
-
-    @property
-    def heights(self) -> Array:
-        return np.linspace(0.0, self.top, len(self.radii))
-
-    @property
-    def T_world_axis(self) -> SE3:
-        x, y, a, b = self.axis
-        return SE3(so3_exp(np.array([a, b, 0.0])), np.array([x, y, 0.0]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Gaps:
-    """Of each ray: signed distance from the surface, and where: lower height, weight of the next.
-
-    Attributes:
-        distance: (N,) metres, negative where the ray enters the surface.
-        index: (N,) number of the height below the nearest point.
-        share: (N,) weight of the height above it.
-        slope: (N,) derivative of the distance by a radius at that height.
-        along: (N,) where along the ray, metres.
-    """
-
-    distance: Array
-    index: NDArray[np.int64]
-    share: Array
-    slope: Array
-    along: Array
-
-
-def _outline_rays(views: Sequence[OutlineView], points: Sequence[Array]) -> _Rays:
-    rng = np.random.default_rng(0)
-    origins, directions, scales = [], [], []
-    each = max(100, _MOST_RAYS // max(len(views), 1))
-    for view, uv in zip(views, points, strict=True):
-        if len(uv) < 20:
-            continue
-        if len(uv) > each:
-            uv = uv[np.sort(rng.choice(len(uv), each, replace=False))]
-        d = view.camera.unproject(uv)
-        length = np.linalg.norm(d, axis=1)
-        origins.append(np.broadcast_to(view.T_world_cam.t, d.shape))
-        directions.append((d / length[:, None]) @ view.T_world_cam.R.T)
-        scales.append(np.sqrt(view.camera.fx * view.camera.fy) / length)
-    if len(origins) < _FEWEST_VIEWS:
-        raise ToolkitError(
-            f"{len(origins)} photos show the outline of the object, {_FEWEST_VIEWS} are needed",
-            hint="photograph it from all sides and from two heights",
-        )
-    origin, direction = np.concatenate(origins), np.concatenate(directions)
-    return _Rays(origin, direction, np.concatenate(scales) / np.linalg.norm(origin, axis=1))
-
-
-def _outline(mask: NDArray[np.bool_]) -> Array:
-    """(N, 2) points half way between pixels of the mask and their neighbours outside it."""
-    parts = []
-    for axis in (0, 1):
-        first, second = (mask[:-1], mask[1:]) if axis == 0 else (mask[:, :-1], mask[:, 1:])
-        row, column = np.nonzero(first != second)
-        half = (0.0, 0.5) if axis == 0 else (0.5, 0.0)
-        parts.append(np.stack([column, row], axis=1) + half)
-    return np.concatenate(parts)
-
-
-def _start(views: Sequence[OutlineView], rays: _Rays) -> tuple[Array, float]:
+def _start(views: Sequence[OutlineView], rays: OutlineRays) -> tuple[Array, float]:
     """Where the axis meets the table, and a height above the object.
 
     The middles of the outlines' left and right ends lie in planes through the axis.
@@ -274,21 +200,9 @@ def _start(views: Sequence[OutlineView], rays: _Rays) -> tuple[Array, float]:
     return centre, float(np.clip(np.percentile(height, 99.8), 0.01, 2.0))
 
 
-def _samples(rays: _Rays, state: _State) -> Array:
-    """(N, S) distances along the rays, near the axis."""
-    T = state.T_world_axis.inverse()
-    o, d = T @ rays.origin, rays.direction @ T.R.T
-    flat = np.maximum((d[:, :2] ** 2).sum(axis=1), 1e-9)
-    nearest = -(o[:, :2] * d[:, :2]).sum(axis=1) / flat
-    reach = 1.2 * max(float(state.radii.max(initial=0.0)), 0.25 * state.top, 0.02)
-    return np.asarray(
-        nearest[:, None] + np.linspace(-1, 1, _SAMPLES) * (reach / np.sqrt(flat))[:, None]
-    )
-
-
-def _first_profile(rays: _Rays, centre: Array, top: float) -> _State:
+def _first_profile(rays: OutlineRays, centre: Array, top: float) -> TurnedProfile:
     """The largest surface of revolution within the outlines, but for a small share of them."""
-    state = _State(np.zeros(0), top, np.array([*centre, 0.0, 0.0]))
+    state = TurnedProfile(np.zeros(0), top, np.array([*centre, 0.0, 0.0]))
     count = int(np.clip(state.top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     heights = np.linspace(0, state.top, count)
     T = state.T_world_axis.inverse()
@@ -297,51 +211,10 @@ def _first_profile(rays: _Rays, centre: Array, top: float) -> _State:
     t = (heights[:, None] - o[None, :, 2]) / steep
     radius = np.hypot(o[:, 0] + t * d[:, 0], o[:, 1] + t * d[:, 1])
     low = np.partition(radius, 8, axis=1)[:, 8]
-    return _State(np.maximum(low, 1e-4), state.top, state.axis)
+    return TurnedProfile(np.maximum(low, 1e-4), state.top, state.axis)
 
 
-def _gap_at(
-    rays: _Rays, state: _State, along: Array
-) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """Signed distances (N, S) of points along the rays; index, share and slope as in `_Gaps`."""
-    T = state.T_world_axis.inverse()
-    o, d = T @ rays.origin, rays.direction @ T.R.T
-    x, y, height = (o[:, k : k + 1] + along * d[:, k : k + 1] for k in range(3))
-    radius = np.sqrt(x * x + y * y)
-    count = len(state.radii)
-    step = state.top / (count - 1)
-    place = np.clip(height / step, 0, count - 1.000001)
-    index = place.astype(np.int64)
-    share = place - index
-    wall = (1 - share) * state.radii[index] + share * state.radii[index + 1]
-    # Distance along the normal of the profile; steeper than 4:1 is a disc seen from above.
-    cosine = 1 / np.sqrt(1 + np.clip(np.gradient(state.radii, step), -4, 4) ** 2)
-    factor = (1 - share) * cosine[index] + share * cosine[index + 1]
-    gap = (radius - wall) * factor
-    slope = -factor
-    beyond = np.maximum(height - state.top, -height)
-    outside = beyond > 0
-    over = np.maximum(radius[outside] - wall[outside], 0)
-    corner = np.sqrt(over**2 + beyond[outside] ** 2)
-    gap[outside] = corner
-    slope[outside] = -over / np.maximum(corner, 1e-9)
-    return gap, index, share, slope
-
-
-def _gaps(rays: _Rays, state: _State) -> _Gaps:
-    along = _samples(rays, state)
-    gap, index, share, slope = _gap_at(rays, state, along)
-    at = (np.arange(len(gap)), gap.argmin(axis=1))
-    return _Gaps(gap[at], index[at], share[at], slope[at], along[at])
-
-
-def _noise(rays: _Rays, state: _State) -> float:
-    """Robust standard deviation of the outline, pixels, at least that of whole pixels."""
-    pixels = _gaps(rays, state).distance * rays.px_per_m
-    return max(1.4826 * float(np.median(np.abs(pixels - np.median(pixels)))), 0.29)
-
-
-def _lowest_top(rays: _Rays, state: _State, sigma: float) -> _State:
+def _lowest_top(rays: OutlineRays, state: TurnedProfile, sigma: float) -> TurnedProfile:
     """The lowest rim with which the outlines are still explained."""
 
     far = max(_FAR * sigma, _FAR_PX)
@@ -349,7 +222,7 @@ def _lowest_top(rays: _Rays, state: _State, sigma: float) -> _State:
     def cost(top: float) -> float:
         count = max(_LEAST_HEIGHTS, round(len(state.radii) * top / state.top))
         cut = np.interp(np.linspace(0, top, count), state.heights, state.radii)
-        pixels = _gaps(rays, _State(cut, top, state.axis)).distance * rays.px_per_m
+        pixels = ray_gaps(rays, TurnedProfile(cut, top, state.axis)).distance * rays.px_per_m
         return float((pixels > far).mean())
 
     plateau = cost(state.top)
@@ -364,10 +237,10 @@ def _lowest_top(rays: _Rays, state: _State, sigma: float) -> _State:
     high = min(high + 0.3 * far / float(np.median(rays.px_per_m)), state.top)
     count = int(np.clip(high / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     radii = np.interp(np.linspace(0, high, count), state.heights, state.radii)
-    return _State(radii, high, state.axis)
+    return TurnedProfile(radii, high, state.axis)
 
 
-def _without_cone(state: _State) -> _State:
+def _without_cone(state: TurnedProfile) -> TurnedProfile:
     """Without what rays over the rim leave above it: a cone that closes as steeply as they fall."""
     slope = np.gradient(state.radii, state.heights)
     cone = np.flatnonzero((state.heights > state.top - _CONE_M) & (slope < -_CONE))
@@ -378,10 +251,10 @@ def _without_cone(state: _State) -> _State:
     return replace(state, radii=np.interp(heights, state.heights, state.radii), top=top)
 
 
-def _system(rays: _Rays, state: _State, sigma: float) -> tuple[Array, Array, Array]:
+def _system(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Array, Array, Array]:
     """Normal equations A x = b of a step in radii, rim and axis; and the weights of the rays."""
     count = len(state.radii)
-    gap = _gaps(rays, state)
+    gap = ray_gaps(rays, state)
     scale = rays.px_per_m / sigma
     residual = gap.distance * scale
     weight = np.where(
@@ -401,7 +274,7 @@ def _system(rays: _Rays, state: _State, sigma: float) -> tuple[Array, Array, Arr
                 axis[k - 1] += sign * small
                 moved = replace(state, axis=axis)
             # The nearest point moves along the ray, which does not change the distance.
-            ends.append(_gap_at(rays, moved, gap.along[:, None])[0][:, 0])
+            ends.append(gap_at(rays, moved, gap.along[:, None])[0][:, 0])
         J[:, count + k] = (ends[0] - ends[1]) / (2 * small)
     J *= scale[:, None]
     A = (J * weight[:, None]).T @ J
@@ -421,26 +294,28 @@ def _system(rays: _Rays, state: _State, sigma: float) -> tuple[Array, Array, Arr
     return A, b, weight
 
 
-def _improved(rays: _Rays, state: _State, sigma: float) -> tuple[_State, float]:
+def _improved(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[TurnedProfile, float]:
     """One step, and the noise of the outline after it."""
     count = len(state.radii)
     A, b, _ = _system(rays, state, sigma)
     step = np.linalg.solve(A, b)
     step[:count] = np.clip(step[:count], -0.004, 0.004)
     step[count] = np.clip(step[count], -0.002, 0.002)
-    state = _State(
+    state = TurnedProfile(
         np.maximum(state.radii + step[:count], 1e-4),
         state.top + float(step[count]),
         state.axis + step[count + 1 :],
     )
-    return state, _noise(rays, state)
+    return state, outline_noise(rays, state)
 
 
-def _deviation(rays: _Rays, state: _State, sigma: float) -> tuple[Array, NDArray[np.bool_]]:
+def _deviation(
+    rays: OutlineRays, state: TurnedProfile, sigma: float
+) -> tuple[Array, NDArray[np.bool_]]:
     """Standard deviation of the radii, and where outlines touch the surface."""
     A, _, weight = _system(rays, state, sigma)
     count = len(state.radii)
-    gap = _gaps(rays, state)
+    gap = ray_gaps(rays, state)
     touched = np.zeros(count)
     np.add.at(touched, gap.index, weight)
     near = np.convolve(touched, np.ones(5), mode="same")

@@ -208,7 +208,8 @@ def _poses(
     from std_toolkit.importers.intrinsics import read_intrinsics
     from std_toolkit.io.images import image_size
     from std_toolkit.poses.board_scale import Board
-    from std_toolkit.scanning import board_poses
+    from std_toolkit.scanning import board_photos
+    from std_toolkit.scanning.board_poses import pose_photos
 
     board = Board.read(options.board)
     blurred = photo_files.blurred_photos(found.used)
@@ -225,16 +226,16 @@ def _poses(
 
     def make() -> dict[str, Any]:
         paths = [found.used[i] for i in kept]
-        detections = board_poses.detect_boards(paths, board, options.jobs)
+        detections = board_photos.detect_boards(paths, board, options.jobs)
         assert options.board is not None
-        board_poses.check_boards(detections, paths, options.board)
+        board_photos.check_boards(detections, paths, options.board)
         if options.intrinsics is not None:
             whole = image_size(found.paths[0])
             given = read_intrinsics(options.intrinsics, size=whole)
             camera = given.camera(whole, path=options.intrinsics).resized(*found.size)
         else:
-            camera = board_poses.calibrate(detections, found.size)
-        p = board_poses.pose_photos(
+            camera = board_photos.calibrate(detections, found.size)
+        p = pose_photos(
             paths, detections, camera, work, jobs=options.jobs, max_features=options.max_features
         )
         c = p.camera

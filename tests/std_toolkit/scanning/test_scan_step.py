@@ -20,13 +20,8 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.scanning import object_masks, scan_step
-from std_toolkit.scanning.board_poses import (
-    _adjusted,
-    _model,
-    board_pose,
-    calibrate,
-    check_boards,
-)
+from std_toolkit.scanning.board_adjustment import adjust, build_model
+from std_toolkit.scanning.board_photos import board_pose, calibrate, check_boards
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos import blurred_photos
 from std_toolkit.scanning.stages import Stages
@@ -174,7 +169,7 @@ def test_features_do_not_change_what_corners_say(tmp_path: Path) -> None:
     pairs = [(a, b, same) for a in poses for b in poses if a < b]
     paths = [tmp_path / f"{k}.jpg" for k in poses]
     start = Camera(640, 480, 603, 602, 320.0, 238.0, (-0.08, 0.0, 1e-3, 0.0))
-    done = _adjusted(_model(paths, poses, found, uv, pairs, start), found, len(paths))
+    done = adjust(build_model(paths, poses, found, uv, pairs, start), found, len(paths))
     assert done.camera.fx == done.camera.fy == pytest.approx(600, abs=2.0)
     assert done.camera.distortion[2:] == (0.0, 0.0)
     off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
