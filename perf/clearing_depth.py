@@ -57,7 +57,8 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
     source = open_split(args.split, args.sets)
-    chosen = [i * len(source) // args.frames for i in range(min(args.frames, len(source)))]
+    count = min(args.frames, len(source))
+    chosen = [i * len(source) // count for i in range(count)]
     # Whole scenes on either side: frames of one scene show the same objects.
     scenes = sorted({source.keys()[i].scene for i in chosen})
     fitted_on = [i for i in chosen if scenes.index(source.keys()[i].scene) % 2 == 0]
