@@ -42,7 +42,7 @@ def answer():
 
 make_application()
 QTimer.singleShot(200, person)
-sys.exit(cli.main(sys.argv[1:]))
+sys.exit(cli.main())
 """
 
 
