@@ -68,7 +68,7 @@ def all_tables(out: Path, scale: str) -> str:
         text = re.sub("^#", "##", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
         title, _, rest = text.partition("\n")
         command = f"`std-train recipe {path.parent.name} --scale {scale}`"
-        lines += [title, "", f"{command}", rest.rstrip().replace(f"\n{_NOTE}", ""), ""]
+        lines += [title, "", command, rest.rstrip().replace(f"\n{_NOTE}", ""), ""]
     return "\n".join([*lines, _NOTE]) + "\n"
 
 

@@ -10,7 +10,7 @@ learns faster (Xiao et al., NeurIPS 2021), and uses their features to restore th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -251,6 +251,11 @@ class DetailDecoder(nn.Module):
 
     def forward(self, found: Tensor, details: Sequence[Tensor]) -> Tensor:
         """(b, channels, h / 8, w / 8) and the streams' details, finest first, together."""
+        *_, found = self.maps(found, details)
+        return precisely(self.last, found)
+
+    def maps(self, found: Tensor, details: Sequence[Tensor]) -> Iterator[Tensor]:
+        """What each step makes, at the resolutions of the details, coarsest first."""
         for step, detail in zip(reversed(self.steps), reversed(details), strict=True):
             found = step(torch.cat([enlarged(found, detail), detail], dim=1))
-        return precisely(self.last, found)
+            yield found

@@ -7,6 +7,7 @@ are not in the head's file. The file names them by their SHA-256.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -126,9 +127,9 @@ class TrunkNOCSNetwork(nn.Module):
             (trunk.decode_head_confidence, trunk.details_of_confidence),
         ):
             first.append(head(levels))
-            _, to_half, to_quarter = decoder.steps
-            quarters.append(to_quarter(torch.cat([enlarged(first[-1], quarter), quarter], dim=1)))
-            halves.append(to_half(torch.cat([enlarged(quarters[-1], half), half], dim=1)))
+            at_quarter, at_half = islice(decoder.maps(first[-1], details), 2)
+            quarters.append(at_quarter)
+            halves.append(at_half)
         levels = [torch.cat(first, dim=1), *levels[1:]]
         return levels, torch.cat(quarters, dim=1), torch.cat(halves, dim=1)
 
