@@ -41,6 +41,8 @@ class Trainable:
         imagenet: begins the network with weights of a classifier, of those that have this.
         begin: begins the network with the weights of a training.
         idle: whether a configuration leaves parameters without gradient.
+        channels_last: whether weights of convolutions are stored with channels last, which makes
+            some networks faster.
     """
 
     presets: Mapping[str, Any]
@@ -58,6 +60,7 @@ class Trainable:
     imagenet: Callable[[Any, Path], None] | None = None
     begin: Callable[[Any, Path], None] = load_weights
     idle: Callable[[Any], bool] = lambda config: False  # noqa: ARG005
+    channels_last: bool = False
 
     def config(self, preset: str, settings: Mapping[str, str]) -> Any:
         """Configuration of the network.

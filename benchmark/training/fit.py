@@ -126,6 +126,8 @@ def make_network(
         trainable.imagenet(network, beginning.imagenet)
     if beginning.weights is not None:
         trainable.begin(network, beginning.weights)
+    if trainable.channels_last:
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in its stub
     return network
 
 

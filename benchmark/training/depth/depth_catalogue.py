@@ -51,6 +51,7 @@ NLSPN_TRAINING = Trainable(
     jitter=True,
     geometry=True,
     imagenet=load_resnet,
+    channels_last=True,
 )
 
 
@@ -125,6 +126,7 @@ SWINDRNET_TRAINING = Trainable(
     geometry=False,
     imagenet=load_swin,
     idle=lambda config: config.fusion == "released",
+    channels_last=True,
 )
 
 
