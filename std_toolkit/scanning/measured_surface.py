@@ -7,7 +7,7 @@ own photos. The surface is fused from both in the world of the first.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from std_toolkit.scanning.masks import volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.polish import fit_outlines
 from std_toolkit.scanning.posed_photos import PosedPhotos
+from std_toolkit.scanning.sensor_depth import LARGEST_DEVIATION, depth_factor, sensor_maps
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.underside import flatten_unseen
@@ -40,6 +41,7 @@ class Side:
     Attributes:
         views: photos with masks, in the world of this position.
         maps: their depth maps.
+        sensor: depth maps of a depth sensor, if there is one.
         grid: voxels around the object.
         hull: signed distance to the visual hull on them.
         on_table: whether the table at z = 0 of this world bounds the object.
@@ -52,6 +54,12 @@ class Side:
     hull: NDArray[np.float32]
     on_table: bool
     digest: str
+    sensor: list[DepthMap | None] = field(default_factory=list)
+
+    @property
+    def layers(self) -> list[list[DepthMap | None]]:
+        """Depth maps by matching, and of the sensor."""
+        return [self.maps, self.sensor or [None] * len(self.views)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,17 +95,46 @@ def measure_side(
         posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth
     )
     maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
+    sensor = _sensor(posed, views, hull, grid, threads)
     lap("depth maps")
     return Side(
-        views=list(views), maps=maps, grid=grid, hull=hull, on_table=posed.on_table, digest=key
+        # The images of depth are large, and no longer needed.
+        views=[replace(v, sensor=None) for v in views],
+        maps=maps, grid=grid, hull=hull, on_table=posed.on_table, digest=key, sensor=sensor,
+    )  # fmt: skip
+
+
+def _sensor(
+    posed: PosedPhotos, views: Sequence[View], hull: NDArray[np.float32], grid: Grid, threads: int
+) -> list[DepthMap | None]:
+    """Depth maps of the sensor, brought to the board's scale; says so in the facts."""
+    if all(v.sensor is None for v in views):
+        return []
+    factor = depth_factor(views, posed.corners) if posed.on_table else 1.0
+    if factor is None:
+        posed.warnings.append("the sensor's depth shows too little of the board to be compared")
+        factor = 1.0
+    elif posed.on_table:
+        posed.facts["sensor depth"] = f"times {factor:.4f}, by the board"
+    if abs(factor - 1) > LARGEST_DEVIATION:
+        posed.warnings.append(
+            f"the sensor's depth is left out: the board is at {factor:.2f} times what it measured. "
+            "Is its unit right, and is it aligned to the colour images?"
+        )
+        return []
+    maps = sensor_maps(views, hull, grid, factor=factor, on_table=posed.on_table, threads=threads)
+    share = sum(int((m.depth > 0).sum()) for m in maps if m is not None) / max(
+        1, sum(int(v.shown.sum()) for v in views if v.sensor is not None)
     )
+    posed.facts["sensor depth on the object"] = f"{100 * share:.0f} % of its pixels"
+    return maps
 
 
 def side_surface(side: Side, voxels: int, threads: int) -> Surface:
     """Coarse surface of one side in its own world, to register the other to."""
     grid, _ = _grid(side.views, max(40, round(_COARSE * voxels)), side.on_table)
     hull = _hull(side.views, grid, [SE3.identity()] if side.on_table else [], threads)
-    fused = _fused(side.views, side.maps, hull, grid, threads)
+    fused = _fused(side.views, side.layers, hull, grid, threads)
     vertices, faces = closed_mesh(fused.field, grid, 8000)
     support = _at(fused.support, grid, vertices[faces].mean(axis=1))
     return Surface(vertices=vertices, faces=faces, support=support)
@@ -115,7 +152,10 @@ def fused_surface(
         threads: number of threads.
     """
     views = [replace(v, T_world_cam=T @ v.T_world_cam) for side, T in sides for v in side.views]
-    maps = [m for side, _ in sides for m in side.maps]
+    layers = [
+        [m for maps in of_sides for m in maps]
+        for of_sides in zip(*(side.layers for side, _ in sides), strict=True)
+    ]
     on_table = sides[0][0].on_table
     floors = [T for side, T in sides if side.on_table]
     if len(sides) == 1:
@@ -123,7 +163,7 @@ def fused_surface(
     else:
         grid, _ = _grid(views, options.voxels, on_table)
         hull = _hull(views, grid, floors, threads)
-    fused = _fused(views, maps, hull, grid, threads)
+    fused = _fused(views, layers, hull, grid, threads)
     vertices, faces = closed_mesh(fused.field, grid, options.faces)
     vertices = fit_outlines(
         vertices, faces, views, _at(fused.support, grid, vertices), floors=floors, threads=threads
@@ -138,14 +178,16 @@ def fused_surface(
 
 def _fused(
     views: Sequence[View],
-    maps: Sequence[DepthMap | None],
+    layers: Sequence[Sequence[DepthMap | None]],
     hull: NDArray[np.float32],
     grid: Grid,
     threads: int,
 ) -> Fusion:
     middle = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
-    weights = agreeing(views, maps, middle, threads=threads)
-    return fuse(views, maps, weights, hull, grid, threads=threads)
+    weights = agreeing(views, layers, middle, threads=threads)
+    maps = [m for maps in layers for m in maps]
+    every = [w for of_layer in weights for w in of_layer]
+    return fuse([*views] * len(layers), maps, every, hull, grid, threads=threads)
 
 
 def _grid(views: Sequence[View], voxels: int, on_table: bool) -> tuple[Grid, float]:

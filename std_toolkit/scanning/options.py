@@ -24,7 +24,8 @@ class ScanOptions:
     """
 
     photos: Path = field(metadata={"option": ""})
-    """folder of the photos, or a video, of which about 60 sharp frames are taken"""
+    """folder of the photos; or a video, of which about 60 sharp frames are taken; or an RGB-D scene
+    of std-curate import, whose sensor depth helps on plain surfaces"""
     flipped: Path | None = field(default=None, metadata={"option": ""})
     """folder or video of the same object turned over on the same board"""
     out: Path = field(metadata={"option": "out"})

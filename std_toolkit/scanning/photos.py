@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, undistort_image
@@ -15,12 +16,41 @@ from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color, write_
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
 from std_toolkit.scanning.views import View
+from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.document import digest_file
 
 MIN_PHOTOS = 8
 _USUAL_PHOTOS = 24
 # Photos whose sharpness is below this share of the median of all are left out.
 _BLURRED = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """The depth sensor of an RGB-D scene.
+
+    Attributes:
+        scene: the scene.
+        frames: that of each photo.
+    """
+
+    scene: Scene
+    frames: tuple[Frame, ...]
+
+    def camera(self, size: tuple[int, int]) -> Camera:
+        """Intrinsics of the photos at this size."""
+        return self.scene.camera(self.frames[0]).resized(*size)
+
+    def depth(self, index: int, size: tuple[int, int]) -> NDArray[np.float32] | None:
+        """z-depth (H, W) of a photo at this size, metres, 0 for none; None without depth."""
+        depth = self.scene.read_depth(self.frames[index])
+        if depth is None:
+            return None
+        return cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+
+    def paths(self) -> list[Path]:
+        """The files of depth."""
+        return [self.scene.root / f.depth for f in self.frames if f.depth is not None]
 
 
 @dataclass(frozen=True)
@@ -32,12 +62,14 @@ class Photos:
         used: the files that are read: `paths`, or reduced copies.
         size: (width, height) of `used`.
         factor: size of `used` over that of `paths`.
+        sensor: of an RGB-D scene.
     """
 
     paths: tuple[Path, ...]
     used: tuple[Path, ...]
     size: tuple[int, int]
     factor: float
+    sensor: Sensor | None = None
 
     def index_of(self, name: str, option: str) -> int:
         """Index of the photo with a file name or stem.
@@ -67,12 +99,18 @@ def find_photos(folder: Path, work: Path, *, longest: int) -> Photos:
     if not folder.is_dir():
         raise ToolkitError(
             "no such folder of photos, and no video", path=folder,
-            hint="give a folder of JPEG or PNG files, or a video as .mp4, .mov, .avi or .mkv",
+            hint="give a folder of JPEG or PNG files, a video as .mp4, .mov, .avi or .mkv, or a "
+            "scene of std-curate import",
         )  # fmt: skip
     paths = sorted(
         p for p in folder.iterdir()
         if p.suffix.lower() in COLOR_SUFFIXES and p.is_file() and not p.name.startswith(".")
     )  # fmt: skip
+    return photos_of(paths, folder, work, longest=longest)
+
+
+def photos_of(paths: Sequence[Path], folder: Path, work: Path, *, longest: int) -> Photos:
+    """Photos, large ones reduced; arguments and errors as of `find_photos`."""
     if len(paths) < MIN_PHOTOS:
         raise ToolkitError(
             f"{len(paths)} photos are too few, at least {MIN_PHOTOS} are needed",
@@ -144,15 +182,18 @@ def known_views(photos: Photos, options: KnownCameras, intrinsics: str | None) -
     """
     from std_toolkit.importers.intrinsics import read_intrinsics
     from std_toolkit.poses.known_cameras import read_known_poses
-    from std_toolkit.scene import Frame
 
     frames = [Frame(id=i, name=p.stem, color=f"color/{p.name}") for i, p in enumerate(photos.paths)]
     known = read_known_poses(options, frames)
     given = None if intrinsics is None else read_intrinsics(intrinsics)
+    of_sensor = None if photos.sensor is None else photos.sensor.camera(photos.size)
     views = []
     for i, T in known.poses().items():
         lens = known.filed.lenses[known.row[i]] if len(known.filed.lenses) else None
         found = given if given is not None else lens
+        if found is None and of_sensor is not None:
+            views.append(make_view(photos, i, of_sensor, T))
+            continue
         if found is None:
             raise ToolkitError(
                 "the file has no intrinsics", path=options.cameras, hint="give --intrinsics"
@@ -169,9 +210,14 @@ def make_view(photos: Photos, index: int, camera: Camera, T_world_cam: SE3) -> V
     """One photo, undistorted."""
     image = read_color(photos.used[index], size=photos.size)
     flat = undistort_image(image, camera) if camera.is_distorted else image
+    sensor = None if photos.sensor is None else photos.sensor.depth(index, photos.size)
+    if sensor is not None and camera.is_distorted:
+        nearest = undistort_image(sensor, camera, interpolation=cv2.INTER_NEAREST)
+        sensor = np.asarray(nearest, np.float32)
     return View(
         photos.paths[index].name,
         np.asarray(flat, np.uint8),
         camera.without_distortion(),
         T_world_cam,
+        sensor=sensor,
     )

@@ -30,6 +30,7 @@ from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.posed_photos import PosedPhotos, Scan
 from std_toolkit.scanning.revolve import fit_revolution
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
+from std_toolkit.scanning.scene_photos import is_scene, scene_photos
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.turned_over import find_turn
 from std_toolkit.scanning.video import is_video, sample_video
@@ -78,7 +79,7 @@ def scan(options: ScanOptions) -> Scan:
     else:
         if not sides:
             side = measure_side(options, posed, views, engine, stages, threads, lap)
-            sides = [(side, SE3.identity())]
+            sides, views = [(side, SE3.identity())], side.views
         found = fused_surface(options, sides, posed.facts, threads)
         vertices, faces, support = found.vertices, found.faces, found.support
     lap("surface")
@@ -111,9 +112,13 @@ def _posed(
     options: ScanOptions, stages: Stages, work: Path, lap: Callable[[str], None]
 ) -> PosedPhotos:
     """Photos of one position with poses."""
-    folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
-    found = photo_files.find_photos(folder, work, longest=options.image_size)
-    inputs = digest_of([digest_file(p) for p in found.paths], [p.name for p in found.paths])
+    if is_scene(options.photos):
+        found = scene_photos(options.photos, work, longest=options.image_size)
+    else:
+        folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
+        found = photo_files.find_photos(folder, work, longest=options.image_size)
+    files = [*found.paths, *([] if found.sensor is None else found.sensor.paths())]
+    inputs = digest_of([digest_file(p) for p in files], [p.name for p in files])
     posed = _poses(options, found, stages, work, inputs)
     lap("poses")
     return posed
@@ -233,6 +238,8 @@ def _poses(
             whole = image_size(found.paths[0])
             given = read_intrinsics(options.intrinsics, size=whole)
             camera = given.camera(whole, path=options.intrinsics).resized(*found.size)
+        elif found.sensor is not None:
+            camera = found.sensor.camera(found.size)
         else:
             camera = board_photos.calibrate(detections, found.size)
         p = pose_photos(

@@ -41,20 +41,26 @@ class Fusion:
 
 
 def agreeing(
-    views: Sequence[View], maps: Sequence[DepthMap | None], target: Array, *, threads: int = 1
-) -> list[NDArray[np.float32]]:
-    """Weight (h, w) of every pixel of the depth maps; 0 where no other map agrees.
+    views: Sequence[View],
+    layers: Sequence[Sequence[DepthMap | None]],
+    target: Array,
+    *,
+    threads: int = 1,
+) -> list[list[NDArray[np.float32]]]:
+    """Weight (h, w) of every pixel of the depth maps; 0 where no two other photos agree.
 
     Args:
         views: photos.
-        maps: their depth maps.
+        layers: their depth maps, one for each photo in each of the layers: by matching, by a
+            sensor. A photo agrees if its map in any layer does.
         target: (3,) centre of the object.
         threads: number of threads.
     """
     chosen = choose_neighbours(views, target, 12)
 
-    def one(i: int) -> NDArray[np.float32]:
-        m = maps[i]
+    def one(place: tuple[int, int]) -> NDArray[np.float32]:
+        layer, i = place
+        m = layers[layer][i]
         if m is None:
             return np.zeros((0, 0), np.float32)
         view = views[i]
@@ -65,19 +71,12 @@ def agreeing(
         points = view.T_world_cam @ view.camera.unproject(uv, d)
         votes = np.zeros(len(d))
         for j in chosen[i]:
-            other = maps[j]
-            if other is None:
+            others = [maps[j] for maps in layers]
+            if all(other is None for other in others):
                 continue
             p, z = views[j].project(points)
             p = np.where(np.isfinite(p), p, -1e6)
-            x = np.rint(p[:, 0]).astype(np.int64) - other.x
-            y = np.rint(p[:, 1]).astype(np.int64) - other.y
-            inside = (x >= 0) & (y >= 0) & (x < other.depth.shape[1]) & (y < other.depth.shape[0])
-            there = np.zeros(len(d))
-            there[inside] = other.depth[y[inside], x[inside]]
-            sure = np.zeros(len(d), bool)
-            sure[inside] = other.cost[y[inside], x[inside]] < _LARGEST_COST
-            votes += sure & (there > 0) & (np.abs(there - z) < _AGREEMENT * z)
+            votes += np.any([_agree(other, p, z) for other in others if other is not None], axis=0)
         rays = view.camera.unproject(uv)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         facing = np.abs((m.normal[v, u] * rays).sum(axis=1))
@@ -88,7 +87,20 @@ def agreeing(
         weight[v, u] = np.where(votes >= 2, np.minimum(votes, 5) / 5 * (0.1 + certain) * facing, 0)
         return weight
 
-    return in_threads(one, range(len(views)), threads=threads)
+    places = [(layer, i) for layer in range(len(layers)) for i in range(len(views))]
+    weights = in_threads(one, places, threads=threads)
+    return [weights[n : n + len(views)] for n in range(0, len(weights), len(views))]
+
+
+def _agree(m: DepthMap, p: Array, z: Array) -> NDArray[np.bool_]:
+    """Which points (N,), at pixels p (N, 2) and depths z of a photo, its map confirms."""
+    x = np.rint(p[:, 0]).astype(np.int64) - m.x
+    y = np.rint(p[:, 1]).astype(np.int64) - m.y
+    inside = (x >= 0) & (y >= 0) & (x < m.depth.shape[1]) & (y < m.depth.shape[0])
+    x, y = np.where(inside, x, 0), np.where(inside, y, 0)
+    there = m.depth[y, x].astype(np.float64)
+    sure = inside & (m.cost[y, x] < _LARGEST_COST) & (there > 0)
+    return np.asarray(sure & (np.abs(there - z) < _AGREEMENT * z))
 
 
 def fuse(

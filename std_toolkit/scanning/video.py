@@ -59,7 +59,7 @@ def sample_video(path: Path, work: Path, *, count: int = PHOTOS) -> Path:
         numbers.append(number)
     if len(numbers) < 2:
         raise ToolkitError("the video has no frames that can be read", path=path)
-    chosen = {numbers[i] for i in _spread(measures, count)}
+    chosen = {numbers[i] for i in spread(measures, count)}
     folder.mkdir(parents=True, exist_ok=True)
     done.unlink(missing_ok=True)
     for old in folder.glob("*.png"):
@@ -73,8 +73,8 @@ def sample_video(path: Path, work: Path, *, count: int = PHOTOS) -> Path:
     return folder
 
 
-def _spread(measures: list[FrameMeasure], count: int) -> list[int]:
-    """Indices of about `count` keyframes at equal motion."""
+def spread(measures: list[FrameMeasure], count: int) -> list[int]:
+    """Indices of about `count` sharp frames at equal motion; all, if there are no more."""
     if len(measures) <= count:
         return list(range(len(measures)))
     # A cut or a lost track counts as much as a large step, not as the whole way.

@@ -30,6 +30,7 @@ class View:
         T_world_cam: pose; the world is z up, in metres, with the table at z = 0.
         mask: (H, W) pixels that show the object; None before segmentation.
         hidden: (H, W) pixels where another object stands before this one; None for none.
+        sensor: (H, W) z-depth of a depth sensor, metres, undistorted, 0 for none; None without one.
     """
 
     name: str
@@ -38,6 +39,7 @@ class View:
     T_world_cam: SE3
     mask: Mask | None = None
     hidden: Mask | None = None
+    sensor: NDArray[np.float32] | None = None
 
     @property
     def P(self) -> Array:
