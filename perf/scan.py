@@ -234,22 +234,20 @@ def turntable(what: str, work: Path, *, sensor: bool) -> None:
 
 def write_rgbd(folder: Path, root: Path) -> Path:
     """The photos of a turntable as an RGB-D scene; see `--sensor`."""
-    import json
-
+    from sensors.simulation.turntable import read_turntable_truth
     from std_toolkit.geometry import SE3
     from std_toolkit.geometry.mesh import load_mesh
     from std_toolkit.geometry.ray_caster import RayCaster
     from std_toolkit.io.images import read_color, write_color, write_depth_png16
-    from std_toolkit.scene import CameraModel, Frame, Frames, ObjectTable, Scene, SceneInfo
+    from std_toolkit.scene import Frame, Frames, ObjectTable, Scene, SceneInfo
 
-    truth = json.loads((folder / "truth" / "cameras.json").read_text())
+    truth = read_turntable_truth(folder)
     mesh = load_mesh(folder / "truth" / "mesh.ply")
-    caster = RayCaster(mesh.vertices, mesh.faces)
+    caster = RayCaster(SE3.from_matrix(truth.T_world_obj) @ mesh.vertices, mesh.faces)
     rng = np.random.default_rng(0)
-    model = CameraModel(**truth["camera"])
-    camera, frames = model.camera(), []
-    for n, (photo, row) in enumerate(zip(truth["photos"], truth["T_world_cam"], strict=True)):
-        T = SE3.from_matrix(np.array(row).reshape(4, 4))
+    camera, frames = truth.camera.camera(), []
+    for n, photo in enumerate(truth.photos):
+        T = truth.pose(n)
         world = camera.rays() @ T.R.T
         with np.errstate(divide="ignore"):
             table = np.where(world[..., 2] < 0, -T.t[2] / world[..., 2], np.inf)
@@ -262,7 +260,7 @@ def write_rgbd(folder: Path, root: Path) -> Path:
         write_color(root / "color" / f"{name}.png", read_color(folder / "photos" / photo))
         write_depth_png16(root / "depth" / f"{name}.png", measured_depth, scale=0.0001)
         frames.append(Frame(id=n, name=name, color=f"color/{name}.png", depth=f"depth/{name}.png"))
-    info = SceneInfo(name=folder.name, cameras={"color": model}, depth_scale=0.0001)
+    info = SceneInfo(name=folder.name, cameras={"color": truth.camera}, depth_scale=0.0001)
     Scene.create(root, info, Frames(frames=frames), ObjectTable(models=[], objects=[]))
     return root
 

@@ -81,13 +81,13 @@ def bake_texture(
     middle, facing = corners.mean(axis=1), _face_normals(corners)
     seen = np.zeros(len(faces), np.int64)
     for view, gain in zip(views, gains, strict=True):
-        depth = _depth_of(view, caster)
-        _, w = _seen_from(view, middle, facing, depth)
+        depth = depth_of(view, caster)
+        _, w = seen_from(view, middle, facing, depth)
         seen += w > 0
         # Texels of faces that are turned away need no further look.
         towards = ((view.centre - middle) * facing).sum(axis=1) > 0
         turned = np.flatnonzero(towards[chosen])
-        color, w = _seen_from(view, places[turned], normal[turned], depth)
+        color, w = seen_from(view, places[turned], normal[turned], depth)
         w = w**_SHARPNESS
         total[turned] += color / gain * w[:, None]
         weight[turned] += w
@@ -145,7 +145,7 @@ def exposures(
     step = max(1, len(places) // 6000)
     places, normals = places[::step], normals[::step]
     seen = in_threads(
-        lambda v: _seen_from(v, places, normals, _depth_of(v, caster)), views, threads=threads
+        lambda v: seen_from(v, places, normals, depth_of(v, caster)), views, threads=threads
     )
     color = np.stack([c for c, _ in seen])
     weight = np.stack([w for _, w in seen])
@@ -161,7 +161,7 @@ def exposures(
     return np.clip(gains, 0.3, 3.0)
 
 
-def _depth_of(view: View, caster: RayCaster) -> NDArray[np.float32]:
+def depth_of(view: View, caster: RayCaster) -> NDArray[np.float32]:
     """(H, W) z-depth of the surface, the furthest of 3x3 pixels; infinite beside it."""
     whole = (0, 0, view.camera.width, view.camera.height)
     depth, _ = hull_depth(view, caster, np.zeros(3), whole)
@@ -169,7 +169,7 @@ def _depth_of(view: View, caster: RayCaster) -> NDArray[np.float32]:
     return np.asarray(cv2.dilate(far, np.ones((3, 3), np.uint8)), np.float32)
 
 
-def _seen_from(
+def seen_from(
     view: View, places: Array, normals: Array, depth: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Colours (N, 3) of places in a photo and weights (N,), 0 where it does not show them."""

@@ -46,7 +46,7 @@ def fit_outlines(
     """
     wanted = [outline_distance(v.possible) / 32.0 for v in views]
     borders = [_known(v) for v in views]
-    average = _averaging(faces, len(vertices))
+    average = averaging(faces, len(vertices))
     for _ in range(rounds):
         caster = RayCaster(vertices, faces, threads=1)
         normals = vertex_normals(vertices, faces)
@@ -116,7 +116,7 @@ def _known(view: View) -> NDArray[np.bool_]:
     return known
 
 
-def _averaging(faces: NDArray[np.int64], count: int) -> coo_matrix:
+def averaging(faces: NDArray[np.int64], count: int) -> coo_matrix:
     """Sparse matrix that averages values of vertices over their neighbours and themselves."""
     i = np.concatenate([faces[:, 0], faces[:, 1], faces[:, 2], np.arange(count)])
     j = np.concatenate([faces[:, 1], faces[:, 2], faces[:, 0], np.arange(count)])

@@ -28,7 +28,7 @@ _SMOOTH = 2.0
 # Points outside of the hull by more than this many voxels are not of the object.
 _OUTSIDE_VOXELS = 2.0
 # Below, the sensor may look through the object at the table, metres.
-_ABOVE_TABLE = 0.003
+_ABOVE_TABLE = 0.001
 # Sensors seen from more aside are wrong: cosine between normal and ray.
 _LEAST_FACING = 0.2
 # Pixels of the board that the factor needs, and the share of the image's width that is left out
