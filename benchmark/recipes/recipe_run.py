@@ -179,11 +179,13 @@ def make_set(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
     """Simulate what is missing of a set; error lines by scene.
 
     Raises:
-        ToolkitError: the folder holds another set, or the simulator cannot run.
+        ToolkitError: the folder holds another set or scenes of other seeds, or the simulator cannot
+            run.
     """
     from sensors.simulation.simulated_set import SET_FILE, SetRecord
     from std_toolkit.io.documents import read_document
 
+    frames.check_scenes()
     record = frames.root / SET_FILE
     is_whole = record.is_file() and not frames.missing()
     if is_whole and read_document(record, SetRecord).options == frames.options:
