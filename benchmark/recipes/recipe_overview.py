@@ -19,7 +19,7 @@ from benchmark.recipes.recipe_compare import (
     heads_of_differences,
 )
 from benchmark.recipes.recipe_run import COSTS
-from std_toolkit.html.table import Cell, Column, Row, Table, text_table
+from std_toolkit.html.table import NONE, Cell, Column, Row, Table, text_table
 from std_toolkit.io.documents import read_document
 
 MARKDOWN, DIFFERENCES_CSV = "table.md", "differences.csv"
@@ -124,17 +124,20 @@ def _costs(out: Path) -> list[str]:
     rows = []
     for kind, title in _KINDS.items():
         mine = {k.partition(" ")[2]: s for k, s in seconds.items() if k.partition(" ")[0] == kind}
+        if kind == "set":
+            # Sets that were there before, or made by a killed command, have no time of their own.
+            mine |= {p.name: mine.get(p.name, 0.0) for p in sorted(out.glob("data/*"))}
         if kind in ("pack", "scores"):
             rows.append([f"all {title.rstrip('s')}s ({len(mine)})", _minutes(sum(mine.values()))])
         else:
             rows += [[f"{title} `{name}`", _minutes(s)] for name, s in mine.items()]
-    rows.append(["all", _minutes(sum(seconds.values()))])
+    rows.append(["all of these", _minutes(sum(seconds.values()))])
     table = text_table(["step", "processor minutes"], rows, texts=1)
     return [
         "## Processor time",
         "",
-        "Each step is done once for all recipes. Shapes that the first set has decomposed into "
-        "convex parts are not decomposed again.",
+        "Each step is done once for all recipes. Shapes that one set has decomposed into convex "
+        f"parts are not decomposed again. {NONE}: made before, by another command.",
         "",
         table.markdown(),
         "",
@@ -142,4 +145,5 @@ def _costs(out: Path) -> list[str]:
 
 
 def _minutes(seconds: float) -> str:
-    return f"{seconds / 60:.1f}"
+    # Looking whether a step is done takes less than this.
+    return f"{seconds / 60:.1f}" if seconds >= 0.5 else NONE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,8 +16,9 @@ from benchmark.recipes.recipe import RecipeConfig, load_recipe, recipe_names, sc
 from benchmark.recipes.recipe_plan import RecipePlan, plan_recipe
 from benchmark.recipes.recipe_run import COSTS, Outcome, spent
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document
+from std_toolkit.io.documents import read_document, write_document
 
+REPOSITORY = Path(__file__).resolve().parents[3]
 SCENES, VIEWS = 8, 3
 
 
@@ -158,15 +160,41 @@ def test_the_page_of_all_recipes(tmp_path: Path) -> None:
     costs = read_document(out / COSTS, dict[str, float])
     assert set(costs) == {"training a", "set s"}
     assert costs["training a"] >= costs["set s"] >= 0
+    write_document(out / COSTS, {"training a": 150.0, "set s": 0.0})
+    (out / "data" / "t").mkdir(parents=True)
     page = recipe_overview.all_tables(out, "tiny")
     assert page.startswith("# All recipes at scale `tiny`\n")
     assert scales()["tiny"].about in page
     assert "1 as published, 0 opposite to the paper, 0 undecided" in page
     assert "| module-ablation | dreds-catknown-test | SwinDRNet |" in page
-    assert "| training `a` | 0.0 |" in page and "| simulated set `s` | 0.0 |" in page
+    assert "| training `a` | 2.5 |" in page and "| all of these | 2.5 |" in page
+    # A set without a time of its own.
+    assert "| simulated set `s` | \u2013 |" in page and "| simulated set `t` | \u2013 |" in page
     # The toolkit's recipes in their order, then the user's.
     places = [
         page.index(f"## Title of {n}") for n in ("main-comparison", "module-ablation", "mine")
     ]
     assert places == sorted(places)
     assert page.count("**Scale: ") == 1 and page.count(recipe_overview.NOTE) == 1
+
+
+def test_the_docs_hold_the_tables_of_every_recipe() -> None:
+    """The page is OUT/small/tables.md: copy it anew when the scale or a recipe changes."""
+    page = (REPOSITORY / "docs" / "recipe_results.md").read_text(encoding="utf-8")
+    small = scales()["small"]
+    assert small.about in page
+    assert f"- Training set: {small.sets['train'].scenes} scenes" in page
+    assert f"{small.training.steps} steps of {small.training.batch_size} frames" in page
+    sections = re.split("^## ", page, flags=re.MULTILINE)
+    for name in recipe_names():
+        (mine,) = (s for s in sections if f"`std-train recipe {name} --scale small`" in s)
+        recipe = load_recipe(name)[1]
+        assert mine.startswith(recipe.title)
+        rows = [line for line in mine.splitlines() if line.startswith("|")]
+        for one in (*recipe.variants.values(), *recipe.poses.values()):
+            measured = [row for row in rows if row.startswith(f"| {one.title} | paper, ")]
+            assert measured and all(" [" in row for row in measured[:1]), (name, one.title)
+        assert any("| *published* |" in row for row in rows) or not (
+            recipe.table or recipe.pose_table
+        )
+    assert "](/" not in page and "/work" not in page and "/home" not in page
