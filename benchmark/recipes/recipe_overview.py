@@ -108,7 +108,9 @@ def _readings(out: Path, recipes: list[str]) -> list[str]:
         "## Beside the paper",
         "",
         f"Differences that the paper prints, too, by its protocol: {said}. A difference is "
-        "undecided if its interval holds zero. `dreds-catknown-test` is simulated anew.",
+        "undecided if its interval holds zero. The published difference is of the data set in "
+        "brackets; `dreds-catknown-test` is simulated anew. Agreement and disagreement are of "
+        "networks trained as above, and weigh no more than that.",
         "",
         table.markdown(),
         "",
