@@ -23,6 +23,7 @@ from benchmark.recipes.recipe_poses import published_poses
 from benchmark.recipes.recipe_run import Outcome
 from benchmark.recipes.recipe_table import RANKED_BY, printed_rows
 from benchmark.recipes.targets import Target
+from benchmark.report.leaderboard import SIGNIFICANT
 from benchmark.report.parts.depth_tables import MAIN_SUBSETS, OBJECTS
 from benchmark.report.parts.pose_board import compare_runs
 from std_toolkit.html.table import Cell, Column, Row, Table, number
@@ -44,23 +45,25 @@ _PAPERS = "paper"
 _SAMPLES = 1000
 
 
-def read(low: float, high: float, published: float) -> str:
-    """What an interval of a difference says about a published difference.
+def read(low: float, high: float, p: float, published: float) -> str:
+    """What a difference says about a published difference.
 
     Args:
-        low, high: ends of the interval; NaN with one scene.
+        low, high: ends of its interval; NaN with one scene.
+        p: its p-value. With five scenes or fewer none is below 0.05, and an interval over so few
+            is too narrow.
         published: the paper's difference; NaN for none.
 
     Returns:
-        `AS_PUBLISHED` or `OPPOSITE` if the interval lies on one side of zero, `UNDECIDED` if it
-        does not; empty without an interval, or where the paper prints no difference.
+        `AS_PUBLISHED` or `OPPOSITE` if the interval lies on one side of zero and p is at most 0.05,
+        else `UNDECIDED`; empty where the paper prints no difference.
 
-    >>> read(-2.0, -1.0, -5.0), read(-2.0, -1.0, 5.0), read(-2.0, 1.0, 5.0)
+    >>> read(-2.0, -1.0, 0.01, -5.0), read(-2.0, -1.0, 0.01, 5.0), read(-2.0, 1.0, 0.4, 5.0)
     ('as published', 'opposite to the paper', 'undecided')
     """
-    if isnan(low) or isnan(published) or published == 0:
+    if isnan(published) or published == 0:
         return ""
-    if low <= 0 <= high:
+    if not p <= SIGNIFICANT or not (low > 0 or high < 0):
         return UNDECIDED
     return AS_PUBLISHED if (low > 0) == (published > 0) else OPPOSITE
 
@@ -78,6 +81,8 @@ def comparisons(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:
     together = ["test", "protocol", "figure"]
     if len(table):
         table["p"] = table.groupby(together)["p"].transform(lambda p: holm(p.to_numpy()))
+        ends = ("low", "high", "p", "published")
+        table["reading"] = [read(**row) for row in table[list(ends)].to_dict("records")]
     table["recipe"], table["scale"] = plan.name, plan.scale_name
     return table
 
@@ -125,7 +130,6 @@ def _depth_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict
                     "second": entries[b].title,
                     "published": published,
                     "published_on": where,
-                    "reading": read(found["low"], found["high"], published),
                 }
             )
     return rows
@@ -198,7 +202,7 @@ def _pose_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict[
                         "figure": figure, "first": poses[a].title, "second": poses[b].title,
                         "difference": difference, "low": low, "high": high, "p": p,
                         "frames": found.frames, "scenes": found.scenes, "published": published,
-                        "published_on": where, "reading": read(low, high, published),
+                        "published_on": where,
                     }
                 )  # fmt: skip
     return rows

@@ -108,9 +108,9 @@ def _readings(out: Path, recipes: list[str]) -> list[str]:
         "## Beside the paper",
         "",
         f"Differences that the paper prints, too, by its protocol: {said}. A difference is "
-        "undecided if its interval holds zero. The published difference is of the data set in "
-        "brackets; `dreds-catknown-test` is simulated anew. Agreement and disagreement are of "
-        "networks trained as above, and weigh no more than that.",
+        "undecided if its interval holds zero or p is above 0.05. The published difference is of "
+        "the data set in brackets; `dreds-catknown-test` is simulated anew. Agreement and "
+        "disagreement are of networks trained as above, and weigh no more than that.",
         "",
         table.markdown(),
         "",
