@@ -185,7 +185,9 @@ def _pose_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict[
         two = [outcome.poses[n, target.name] for n in (a, b) if (n, target.name) in outcome.poses]
         if len(two) < 2:
             continue
-        subset = HARD if _has_hard(two[0]) else ALL
+        # Some tables of the paper are of all objects alone.
+        is_printed = printed is None or _SUBSET_OF[HARD] in set(printed["subset"])
+        subset = HARD if is_printed and _has_hard(two[0]) else ALL
         for protocol in plan.recipe.pose_protocols:
             of_a, of_b = (score_run(r, get_pose_protocol(protocol), subset) for r in two)
             found = compare_runs(of_a, of_b, samples=_SAMPLES)
