@@ -190,6 +190,9 @@ def _pose_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict[
         subset = HARD if is_printed and _has_hard(two[0]) else ALL
         for protocol in plan.recipe.pose_protocols:
             of_a, of_b = (score_run(r, get_pose_protocol(protocol), subset) for r in two)
+            if of_a.objects != of_b.objects:
+                # The paper's protocol leaves out frames without an answer: the two are not paired.
+                continue
             found = compare_runs(of_a, of_b, samples=_SAMPLES)
             for figure in (f for f in POSE_FIGURES if f in found.columns):
                 difference, low, high, p = found.of(figure)

@@ -10,11 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from benchmark.metrics.pose import PoseProtocol
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.recipes import recipe_compare, recipe_overview
 from benchmark.recipes.recipe import RecipeConfig, load_recipe, recipe_names, scales
 from benchmark.recipes.recipe_plan import RecipePlan, plan_recipe
 from benchmark.recipes.recipe_run import COSTS, Outcome, spent
+from benchmark.report.parts.pose_board import PoseDifference
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
 
@@ -121,6 +123,27 @@ def test_one_scene_has_a_difference_without_interval(tmp_path: Path) -> None:
     (table,) = recipe_compare.comparison_tables(rows, {"dreds-catknown-test": "DREDS"})
     assert table.title == "DREDS, specular and transparent objects: 3 frames of 1 scene"
     assert "\u221210.0 mm |" in table.markdown()
+
+
+def test_poses_that_are_not_paired_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The paper's protocol counts other objects for a method that answers in other frames."""
+    outcome = Outcome()
+    plan = plan_of("pose-confidence", tmp_path)
+    for name in plan.poses:
+        outcome.poses[name, "dreds-catknown-test"] = SimpleNamespace(name=name)  # type: ignore[assignment]
+
+    def score(result: SimpleNamespace, protocol: PoseProtocol, subset: str) -> SimpleNamespace:  # noqa: ARG001
+        fewer = protocol.name == "paper" and result.name == "confidence"
+        return SimpleNamespace(objects=3 if fewer else 5)
+
+    found = PoseDifference(("5deg5cm",), *(np.array([0.2]),) * 4, scenes=8, frames=16)
+    monkeypatch.setattr(recipe_compare, "score_run", score)
+    monkeypatch.setattr(recipe_compare, "compare_runs", lambda *_, **__: found)
+    rows = recipe_compare.comparisons(plan, outcome)
+    assert rows["protocol"].tolist() == ["strict"]
+    assert rows["subset"].tolist() == ["all"]  # the paper's table is of all objects alone
 
 
 def test_nothing_scored_is_nothing_to_compare(tmp_path: Path) -> None:
