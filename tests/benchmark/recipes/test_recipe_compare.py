@@ -134,7 +134,7 @@ def test_poses_that_are_not_paired_are_left_out(
     for name in plan.poses:
         outcome.poses[name, "dreds-catknown-test"] = SimpleNamespace(name=name)  # type: ignore[assignment]
 
-    def score(result: SimpleNamespace, protocol: PoseProtocol, subset: str) -> SimpleNamespace:  # noqa: ARG001
+    def score(result: SimpleNamespace, protocol: PoseProtocol, subset: str) -> SimpleNamespace:
         fewer = protocol.name == "paper" and result.name == "confidence"
         return SimpleNamespace(objects=3 if fewer else 5)
 
