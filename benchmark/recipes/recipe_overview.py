@@ -110,7 +110,9 @@ def _readings(out: Path, recipes: list[str]) -> list[str]:
         f"Differences that the paper prints, too, by its protocol: {said}. A difference is "
         "undecided if its interval holds zero or p is above 0.05. The published difference is of "
         "the data set in brackets; `dreds-catknown-test` is simulated anew. Agreement and "
-        "disagreement are of networks trained as above, and weigh no more than that.",
+        "disagreement are of networks trained as above, and weigh no more than that: intervals and "
+        "p-values are over test scenes, of one training each, and another `--seed` moves the "
+        "differences.",
         "",
         table.markdown(),
         "",
