@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -19,6 +20,7 @@ from benchmark.recipes.recipe_compare import (
     heads_of_differences,
 )
 from benchmark.recipes.recipe_run import COSTS
+from benchmark.training.config import CONFIG
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, text_table
 from std_toolkit.io.documents import read_document
 
@@ -46,7 +48,7 @@ def all_tables(out: Path, scale: str) -> str:
     found = {path.parent.name: path for path in out.glob(f"*/{MARKDOWN}")}
     order = [name for name in recipe_names() if name in found]
     order += sorted(found.keys() - set(order))
-    lines = [f"# All recipes at scale `{scale}`", "", *_about(get_scale(scale), scale)]
+    lines = [f"# All recipes at scale `{scale}`", "", *_about(get_scale(scale), scale, out)]
     lines += _readings(out, order)
     lines += _costs(out)
     for name in order:
@@ -60,7 +62,7 @@ def all_tables(out: Path, scale: str) -> str:
     return "\n".join([*lines, NOTE]) + "\n"
 
 
-def _about(scale: Scale, name: str) -> list[str]:
+def _about(scale: Scale, name: str, out: Path) -> list[str]:
     """What the scale is and what its numbers are worth."""
     sizes = []
     for part, title in (("train", "Training"), ("test", "Simulated test")):
@@ -80,8 +82,18 @@ def _about(scale: Scale, name: str) -> list[str]:
         if own.steps or own.batch_size
     ]
     more = f"; {', '.join(others)}" if others else ""
-    about = f"**Scale: {name} ({scale.about})**"
-    return [about, "", *sizes, f"- Networks: `{scale.preset}`, {long}{of}{more}.", ""]
+    configs = [read_document(file, dict[str, Any]) for file in out.glob(f"training/*/{CONFIG}")]
+    precisions = sorted({str(config["precision"]) for config in configs if "precision" in config})
+    told = f", --precision {', '.join(precisions)}" if precisions else ""
+    return [
+        f"**Scale: {name} ({scale.about})**",
+        "",
+        "docs/recipes.md describes recipes, scales and the columns of the tables.",
+        "",
+        *sizes,
+        f"- Networks: `{scale.preset}`, {long}{of}{more}{told}.",
+        "",
+    ]
 
 
 def _readings(out: Path, recipes: list[str]) -> list[str]:

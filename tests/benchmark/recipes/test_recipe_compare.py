@@ -17,6 +17,7 @@ from benchmark.recipes.recipe import RecipeConfig, load_recipe, recipe_names, sc
 from benchmark.recipes.recipe_plan import RecipePlan, plan_recipe
 from benchmark.recipes.recipe_run import COSTS, Outcome, spent
 from benchmark.report.parts.pose_board import PoseDifference
+from benchmark.training.config import CONFIG
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document, write_document
 
@@ -195,9 +196,12 @@ def test_the_page_of_all_recipes(tmp_path: Path) -> None:
     assert costs["training a"] >= costs["set s"] >= 0
     write_document(out / COSTS, {"training a": 150.0, "set s": 0.0})
     (out / "data" / "t").mkdir(parents=True)
+    (out / "training" / "a").mkdir(parents=True)
+    write_document(out / "training" / "a" / CONFIG, {"precision": "bf16"})
     page = recipe_overview.all_tables(out, "tiny")
     assert page.startswith("# All recipes at scale `tiny`\n")
     assert scales()["tiny"].about in page
+    assert "4 steps of 2 frames, --precision bf16.\n" in page
     assert "1 as published, 0 opposite to the paper, 0 undecided" in page
     assert "| module-ablation | dreds-catknown-test | SwinDRNet |" in page
     assert "| training `a` | 2.5 |" in page and "| all of these | 2.5 |" in page
