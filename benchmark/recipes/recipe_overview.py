@@ -20,7 +20,6 @@ from benchmark.recipes.recipe_compare import (
     heads_of_differences,
 )
 from benchmark.recipes.recipe_run import COSTS
-from benchmark.training.config import CONFIG
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, text_table
 from std_toolkit.io.documents import read_document
 
@@ -64,6 +63,8 @@ def all_tables(out: Path, scale: str) -> str:
 
 def _about(scale: Scale, name: str, out: Path) -> list[str]:
     """What the scale is and what its numbers are worth."""
+    from benchmark.training.config import CONFIG  # torch, which a list of recipes does without
+
     sizes = []
     for part, title in (("train", "Training"), ("test", "Simulated test")):
         size = scale.sets[part]
