@@ -100,7 +100,8 @@ def _about(scale: Scale, name: str, out: Path) -> list[str]:
 def _readings(out: Path, recipes: list[str]) -> list[str]:
     """The differences that the paper prints, too, in one table."""
     files = [out / name / DIFFERENCES_CSV for name in recipes]
-    tables = [pd.read_csv(file, keep_default_na=True) for file in files if file.is_file()]
+    texts = {"reading": str, "published_on": str}
+    tables = [pd.read_csv(file, dtype=texts) for file in files if file.is_file()]
     full = [table for table in tables if len(table)]
     if not full:
         return []
