@@ -90,6 +90,27 @@ class FrameSet:
             if not scene_folder(self.root, self.part, scene_name(seed)).is_dir()
         ]
 
+    def check_scenes(self) -> None:
+        """Check that the folder holds no scene of other seeds: it would be trained on, too.
+
+        Raises:
+            ToolkitError: it does, maybe from a run of another size.
+        """
+        from sensors.output.dreds import scene_folder
+        from sensors.simulation.simulated_set import scene_name
+
+        wanted = {scene_name(seed) for seed in self.seeds}
+        folder = scene_folder(self.root, self.part, scene_name(self.seeds[0])).parent
+        there = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+        other = [name for name in there if name.isdigit() and name not in wanted]
+        if other:
+            raise ToolkitError(
+                "scenes that are not of the set",
+                path=folder,
+                value=", ".join(other),
+                hint="move them away, or choose another --out",
+            )
+
 
 def parse_given(texts: Sequence[str], usual: str, recipe: Recipe) -> dict[str, Path]:
     """Folders by set, of texts `[SET=]DIR`.

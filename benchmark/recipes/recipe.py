@@ -124,6 +124,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         poses: pose networks on the depth of variants, by name.
         pose_table: the paper's table of poses; empty for none.
         pose_protocols: that poses are scored by.
+        compare: pairs of names whose difference the page states, of variants and baselines or of
+            poses; without any, the last with each other one.
     """
 
     title: str
@@ -137,6 +139,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     poses: dict[str, PoseVariant] = {}
     pose_table: str = ""
     pose_protocols: list[str] = msgspec.field(default_factory=lambda: ["paper", "strict"])
+    compare: list[tuple[str, str]] = []
 
     def __post_init__(self) -> None:
         for part in ("variants", "tests", "sets", "poses"):
@@ -171,6 +174,13 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 raise ToolkitError(
                     "no such set", field=part, value=value, hint=f"one of {', '.join(known)}"
                 )
+        scored = {*self.variants, *self.baselines}
+        for pair in self.compare:
+            if not any(set(pair) <= names for names in (scored, set(self.poses))):
+                raise ToolkitError(
+                    "no two variants or poses of these names", field="compare", value=pair,
+                    hint=f"variants: {', '.join(sorted(scored))}; poses: {', '.join(self.poses)}",
+                )  # fmt: skip
         for name, variant in self.variants.items():
             if not 0 < variant.share <= 1:
                 raise ToolkitError(

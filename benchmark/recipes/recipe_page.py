@@ -1,8 +1,7 @@
-"""The table of a recipe as CSV, Markdown and a page; each states the scale."""
+"""The tables of a recipe as CSV, Markdown and a page; each states the scale."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from math import nan
@@ -11,7 +10,14 @@ from pathlib import Path
 import pandas as pd
 
 from benchmark.evaluation.tasks.depth_results import RunResult
-from benchmark.recipes import recipe_plan, recipe_poses, recipe_run, recipe_table
+from benchmark.recipes import (
+    recipe_compare,
+    recipe_plan,
+    recipe_poses,
+    recipe_run,
+    recipe_table,
+)
+from benchmark.recipes.recipe_overview import DIFFERENCES_CSV, MARKDOWN, NOTE, all_tables
 from benchmark.report.leaderboard import BOARD, frames_of
 from benchmark.report.parts.depth import gallery
 from benchmark.report.parts.depth_tables import MAIN_SUBSETS, OBJECTS, run_table
@@ -20,14 +26,9 @@ from std_toolkit.html.page import Block, Bullets, Page, Paragraph, Section, Verd
 from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.io.atomic import write_bytes_atomic
 
-PAGE, MARKDOWN, CSV, POSES_CSV = "report.html", "table.md", "table.csv", "poses.csv"
+PAGE, CSV, POSES_CSV = "report.html", "table.csv", "poses.csv"
 # Beside the recipes: all their tables.
 ALL_TABLES = "tables.md"
-_NOTE = (
-    "Figures are means over frames. `paper` is the released evaluation, which the published "
-    "figures were made by; under `strict` a missing pixel counts with its whole depth. Published "
-    "rows are as printed: with the full data and training, and the paper's own networks."
-)
 
 
 def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> str:
@@ -37,39 +38,25 @@ def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> st
         ToolkitError: a file cannot be written.
     """
     rows = recipe_table.recipe_rows(plan, outcome)
-    sentences = recipe_table.findings(plan, outcome)
+    differences = recipe_compare.comparisons(plan, outcome)
+    titles = {target.name: target.title for target in plan.targets}
+    compared = recipe_compare.comparison_tables(differences, titles)
     plan.folder.mkdir(parents=True, exist_ok=True)
     poses = recipe_poses.pose_rows(plan, outcome)
     pose_tables = recipe_poses.pose_tables(plan, poses) if plan.poses else []
     texts = {
         CSV: rows.to_csv(index=False, lineterminator="\n"),
-        MARKDOWN: markdown(plan, outcome, rows, sentences, pose_tables),
-        PAGE: html(plan, outcome, rows, sentences, pose_tables),
+        DIFFERENCES_CSV: differences.to_csv(index=False, lineterminator="\n"),
+        MARKDOWN: markdown(plan, outcome, rows, compared, pose_tables),
+        PAGE: html(plan, outcome, rows, compared, pose_tables),
     }
     if plan.poses:
         texts[POSES_CSV] = poses.to_csv(index=False, lineterminator="\n")
     for name, text in texts.items():
         write_bytes_atomic(plan.folder / name, text.encode())
     write_bytes_atomic(plan.out / ALL_TABLES, all_tables(plan.out, plan.scale_name).encode())
-    shown = [terminal(plan, rows, sentences), *(table.terminal() for table in pose_tables)]
+    shown = [terminal(plan, rows), *(table.terminal() for table in [*pose_tables, *compared])]
     return "\n\n".join(shown) + f"\n{plan.folder / PAGE}"
-
-
-def all_tables(out: Path, scale: str) -> str:
-    """The tables of all recipes that ran at a scale, as one page of Markdown.
-
-    Args:
-        out: folder of the scale, with a folder for each recipe.
-        scale: its name.
-    """
-    lines = [f"# All recipes at scale `{scale}`", ""]
-    for path in sorted(out.glob(f"*/{MARKDOWN}")):
-        # A level below the title of this page.
-        text = re.sub("^#", "##", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-        title, _, rest = text.partition("\n")
-        command = f"`std-train recipe {path.parent.name} --scale {scale}`"
-        lines += [title, "", command, rest.rstrip().replace(f"\n{_NOTE}", ""), ""]
-    return "\n".join([*lines, _NOTE]) + "\n"
 
 
 def scale_line(plan: recipe_plan.RecipePlan) -> str:
@@ -81,12 +68,15 @@ def markdown(
     plan: recipe_plan.RecipePlan,
     outcome: recipe_run.Outcome,
     rows: pd.DataFrame,
-    sentences: Sequence[str],
+    compared: Sequence[Table],
     pose_tables: Sequence[Table] = (),
 ) -> str:
     """The tables as GitHub's Markdown; published rows in italics."""
     lines = [f"# {plan.recipe.title}", "", f"**{scale_line(plan)}**", "", plan.recipe.about, ""]
-    lines += [f"- {sentence}" for sentence in sentences] + [""] * bool(sentences)
+    if compared:
+        lines += [f"## Differences (scale {plan.scale_name})", ""]
+        for table in compared:
+            lines += [table.markdown(), ""]
     for target in plan.targets:
         mine = rows[rows["test"] == target.name]
         lines += [f"## {target.title} (scale {plan.scale_name})", "", f"{_data(mine)}.", ""]
@@ -98,7 +88,7 @@ def markdown(
         lines += [f"## Poses (scale {plan.scale_name})", ""]
         for table in pose_tables:
             lines += [table.markdown(), ""]
-    lines += [_NOTE]
+    lines += [NOTE]
     if outcome.problems:
         lines += ["", f"## What did not run (scale {plan.scale_name})", ""]
         lines += [f"- {what}: {why}" for what, why in outcome.problems.items()]
@@ -109,12 +99,12 @@ def html(
     plan: recipe_plan.RecipePlan,
     outcome: recipe_run.Outcome,
     rows: pd.DataFrame,
-    sentences: Sequence[str],
+    compared: Sequence[Table],
     pose_tables: Sequence[Table] = (),
 ) -> str:
     """One file that needs nothing but itself; the same results give the same bytes."""
     results = [result for found in outcome.results.values() for result in found]
-    sections = []
+    sections = [Section("differences", "Differences", list(compared))] if compared else []
     for i, target in enumerate(plan.targets):
         mine = rows[rows["test"] == target.name]
         blocks: list[Block] = [Paragraph(f"{_data(mine)}.")]
@@ -136,14 +126,14 @@ def html(
         title=plan.recipe.title,
         tab_title=f"{plan.recipe.title}, {mark}",
         verdicts=[Verdict(plan.scale.about, f"Scale: {plan.scale_name}", state)],
-        intro=[Paragraph(text) for text in (plan.recipe.about, *sentences, _NOTE)],
+        intro=[Paragraph(text) for text in (plan.recipe.about, NOTE)],
         sections=[replace(section, mark=mark) for section in sections],
         footer=f"std-toolkit {__version__}, `std-train recipe {plan.name} --scale "
         f"{plan.scale_name}`. The same figures: `{CSV}`.",
     ).html()
 
 
-def terminal(plan: recipe_plan.RecipePlan, rows: pd.DataFrame, sentences: Sequence[str]) -> str:
+def terminal(plan: recipe_plan.RecipePlan, rows: pd.DataFrame) -> str:
     """The rows of specular and transparent objects, or of all where there are no others."""
     lines = [scale_line(plan)]
     for target in plan.targets:
@@ -161,7 +151,7 @@ def terminal(plan: recipe_plan.RecipePlan, rows: pd.DataFrame, sentences: Sequen
                 and (text := c.text(row[c.name], published=printed))
             )
             lines.append(f"  {row['variant']} ({_figures(row)}, {row['subset']}): {numbers}")
-    return "\n".join([*lines, *sentences])
+    return "\n".join(lines)
 
 
 def _absent(rows: pd.DataFrame) -> list[tuple[str, str]]:
@@ -218,7 +208,9 @@ def _training(row: dict[str, object]) -> str:
 
 
 def _data(rows: pd.DataFrame) -> str:
-    return f"Frames: {rows['data'].iloc[0]}"
+    origin, _, folder = str(rows["data"].iloc[0]).partition("from ")
+    # A page is for others, too: a folder's place on one machine is in the CSV alone.
+    return f"Frames: {f'from {Path(folder).name}' if folder and not origin else origin}"
 
 
 def _shown(plan: recipe_plan.RecipePlan, results: Sequence[RunResult]) -> list[RunResult]:

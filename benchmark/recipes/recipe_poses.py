@@ -178,7 +178,13 @@ def pose_tables(plan: RecipePlan, rows: pd.DataFrame) -> list[Table]:
     for target in plan.targets:
         mine = rows[rows["test"] == target.name]
         absent = mine[mine["kind"] == ABSENT]
-        notes = [f"{v}: {n}" for v, n in zip(absent["variant"], absent["note"], strict=True)]
+        why = dict.fromkeys(absent["note"])
+        if len(why) == 1 and set(absent["variant"]) == {
+            v.title for v in plan.recipe.poses.values()
+        }:
+            notes = [f"Not measured: {note}" for note in why]  # the test's, hence said once
+        else:
+            notes = [f"{v}: {n}" for v, n in zip(absent["variant"], absent["note"], strict=True)]
         if len(absent) == len(mine):
             tables.append(Table(columns=heads, rows=[], title=_title(target, ""), notes=notes))
             continue

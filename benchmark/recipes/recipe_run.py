@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmark.evaluation.engine import run_all
@@ -17,6 +20,9 @@ from std_toolkit.log import logger
 
 if TYPE_CHECKING:
     from benchmark.training.options import Machine
+
+# Processor seconds of all steps in the folder of a scale, by step.
+COSTS = "costs.json"
 
 
 @dataclass(frozen=True)
@@ -86,10 +92,12 @@ def run_recipe(
     for frames in plan.sets.values():
         if frames.options is None:
             continue
-        failed = make_set(frames, jobs)
+        with spent(plan.out, f"set {frames.name}"):
+            failed = make_set(frames, jobs)
         outcome.problems |= {f"set {frames.name}, scene {k}": e for k, e in failed.items()}
     for pack in plan.packs:
-        failed = make_pack(pack, jobs)
+        with spent(plan.out, f"pack {pack.folder.name}"):
+            failed = make_pack(pack, jobs)
         outcome.problems |= {f"pack {pack.folder.name}, {k}": e for k, e in failed.items()}
     for entry in plan.entries:
         if entry.problem:
@@ -97,8 +105,10 @@ def run_recipe(
             continue
         try:
             if entry.training is not None:
-                outcome.trained[entry.name] = train(entry, machine)
-            _score(plan, entry, jobs, outcome)
+                with spent(plan.out, f"training {entry.label}"):
+                    outcome.trained[entry.name] = train(entry, machine)
+            with spent(plan.out, f"scores {entry.label}"):
+                _score(plan, entry, jobs, outcome)
         except ToolkitError as error:
             logger.error("%s: %s", entry.title, error)
             outcome.problems[entry.title] = str(error)
@@ -110,6 +120,30 @@ def run_recipe(
     if not outcome.trained:
         after(outcome)
     return outcome
+
+
+@contextmanager
+def spent(out: Path, step: str) -> Iterator[None]:
+    """Add the processor time of a step, and of the processes that it ended, to `COSTS`.
+
+    An interrupted step counts; one that is killed does not. Commands that run side by side in one
+    folder may lose a step's time.
+
+    Args:
+        out: folder of the scale.
+        step: its kind (`set`, `pack`, `training`, `scores`) and name.
+    """
+    from std_toolkit.io.documents import read_document, write_document
+
+    begun = sum(os.times()[:4])
+    try:
+        yield
+    finally:
+        file = out / COSTS
+        costs = read_document(file, dict[str, float]) if file.is_file() else {}
+        costs[step] = round(costs.get(step, 0.0) + sum(os.times()[:4]) - begun, 2)
+        out.mkdir(parents=True, exist_ok=True)
+        write_document(file, costs)
 
 
 def _pose(
@@ -132,8 +166,10 @@ def _pose(
         outcome.problems[entry.title] = f"the depth of {depth} is not there: it was not trained"
         return
     try:
-        outcome.trained[f"pose {name}"] = train(entry, machine)
-        score_poses(plan, name, jobs, outcome)
+        with spent(plan.out, f"training {entry.label}"):
+            outcome.trained[f"pose {name}"] = train(entry, machine)
+        with spent(plan.out, f"scores {entry.label} on {depth}"):
+            score_poses(plan, name, jobs, outcome)
     except ToolkitError as error:
         logger.error("%s: %s", entry.title, error)
         outcome.problems[entry.title] = str(error)
@@ -143,11 +179,13 @@ def make_set(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
     """Simulate what is missing of a set; error lines by scene.
 
     Raises:
-        ToolkitError: the folder holds another set, or the simulator cannot run.
+        ToolkitError: the folder holds another set or scenes of other seeds, or the simulator cannot
+            run.
     """
     from sensors.simulation.simulated_set import SET_FILE, SetRecord
     from std_toolkit.io.documents import read_document
 
+    frames.check_scenes()
     record = frames.root / SET_FILE
     is_whole = record.is_file() and not frames.missing()
     if is_whole and read_document(record, SetRecord).options == frames.options:

@@ -6,7 +6,6 @@ import pandas as pd
 
 from benchmark.evaluation.tasks.depth_results import OVER_ALL, summarise
 from benchmark.metrics.protocols.protocol import get_protocol
-from benchmark.metrics.significance import compare_methods
 from benchmark.published.load import published_table
 from benchmark.recipes import recipe_plan, recipe_run, targets
 from benchmark.recipes.recipe import Recipe
@@ -81,66 +80,6 @@ def origin(plan: recipe_plan.RecipePlan, target: targets.Target) -> str:
     if target.set:
         return plan.sets[target.set].origin
     return "not available" if target.root is None else f"from {target.root}"
-
-
-def findings(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> list[str]:
-    """A sentence on every test in which variants can be compared: who is best in RMSE by the first
-    protocol, by how much, whether chance could do it, and what the paper prints."""
-    printed = printed_rows(plan.recipe)
-    sentences = []
-    for target in plan.targets:
-        tables = {}
-        for entry in plan.entries:
-            found = outcome.results.get((entry.name, target.name), [])
-            if entry.folder is not None and found:
-                tables[entry.title] = found[0].table.assign(method=entry.title)
-        subset = _hardest(list(tables.values()))
-        if len(tables) < 2 or subset is None:
-            continue
-        grid, _ = get_protocol(plan.recipe.protocols[0]).main
-        frames = pd.concat(tables.values(), ignore_index=True)
-        frames = frames[(frames["grid"] == grid) & (frames["subset"] == subset)]
-        means = summarise(frames, by=["method"]).set_index("method")[RANKED_BY].sort_values()
-        best = str(means.index[0])
-        pairs = compare_methods(frames, RANKED_BY, samples=0)
-        others = []
-        for name, value in means.iloc[1:].items():
-            pair = next(p for p in pairs.itertuples() if {p.first, p.second} == {best, name})
-            others.append(f"{name} {1e3 * value:.1f} mm (p = {pair.p_flip_holm:.2g})")
-        sentence = (
-            f"{target.title}, {subset}: lowest RMSE {best}, {1e3 * means.iloc[0]:.1f} mm; "
-            + ", ".join(others)
-        )
-        order = _printed_order(plan, printed, target, subset)
-        sentences.append(f"{sentence}. {order}" if order else f"{sentence}.")
-    return sentences
-
-
-def _hardest(tables: list[pd.DataFrame]) -> str | None:
-    """The first of the subsets that all tables have pixels of: specular and transparent ones, else
-    all objects."""
-    for subset in reversed(MAIN_SUBSETS):
-        if tables and all(((t["subset"] == subset) & (t["n_pixels"] > 0)).any() for t in tables):
-            return subset
-    return None
-
-
-def _printed_order(
-    plan: recipe_plan.RecipePlan, printed: pd.DataFrame, target: targets.Target, subset: str
-) -> str:
-    rows = printed[(printed["dataset"] == target.dataset) & (printed["subset"] == subset)]
-    found = {}
-    for entry in plan.entries:
-        if entry.published is not None:
-            match = rows[
-                (rows["method"] == entry.published.method)
-                & (rows["training_data"] == entry.published.training_data)
-            ]
-            if len(match):
-                found[entry.title] = float(match[RANKED_BY].iloc[0])
-    ordered = sorted(found.items(), key=lambda item: item[1])
-    figures = ", ".join(f"{title} {1e3 * value:.0f}" for title, value in ordered)
-    return f"Published: {figures} mm." if ordered else ""
 
 
 def _measured(

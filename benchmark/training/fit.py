@@ -63,7 +63,7 @@ def fit(
     with ExitStack() as stack:
         if is_first:
             folder.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(hold_lock(folder, "lock", doing="training in"))
+            stack.enter_context(hold_lock(folder, "lock", doing="training in", what="folder"))
             begin(folder, config)
             sweep_temporaries(folder)
             if not (folder / run_note.RUN_NOTE).exists():

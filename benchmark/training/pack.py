@@ -58,7 +58,7 @@ def pack_split(
         **{field.name: getattr(options, field.name) for field in fields(PackOptions)},
     )
     folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(folder, "lock", doing="packing into"):
+    with hold_lock(folder, "lock", doing="packing into", what="folder"):
         _begin(folder, setup)
         sweep_temporaries(folder)
         left = [number for number in range(setup.shards) if not _is_whole(folder, number)]

@@ -265,13 +265,14 @@ def scene_lock(root: Path) -> Iterator[None]:
 
 @contextmanager
 def hold_lock(
-    root: Path, name: str, *, doing: str, note: str = "", wait: bool = False
+    root: Path, name: str, *, doing: str, note: str = "", wait: bool = False, what: str = "scene"
 ) -> Iterator[None]:
     """Hold one of the locks of a scene; it is released when its process ends.
 
     Args:
         name: name of the lock file in `.std`.
         doing: what the holder does to the scene, for the error message: "writing to".
+        what: word for the folder in the error message, where it is no scene.
         note: more about the holder, for the same message.
         wait: wait until another process releases it, and log whom it waits for.
 
@@ -286,7 +287,7 @@ def hold_lock(
         # The owner's name is written into the file: never follow a link to another file.
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     except OSError as error:
-        raise ToolkitError(f"cannot write to the scene: {error.strerror}", path=root) from error
+        raise ToolkitError(f"cannot write to the {what}: {error.strerror}", path=root) from error
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -295,7 +296,7 @@ def hold_lock(
             owner = owner or "unknown owner"
             if not wait:
                 raise ToolkitError(
-                    f"another process is {doing} this scene: {owner}",
+                    f"another process is {doing} this {what}: {owner}",
                     path=root,
                     hint="wait for it or end it",
                 ) from error

@@ -75,7 +75,7 @@ def pack_grasps(
     if scenes < 1:
         raise ToolkitError("must be at least 1", field="scenes", value=scenes)
     folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(folder, "lock", doing="packing into"):
+    with hold_lock(folder, "lock", doing="packing into", what="folder"):
         begin_pack(folder, options, network)
         sweep_temporaries(folder)
         left = [n for n in range(scenes) if not pack_files.index_path(folder, n).exists()]

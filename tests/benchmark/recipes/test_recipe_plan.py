@@ -13,11 +13,13 @@ from recipe_data import mark_as_simulated, write_set, write_std
 from benchmark.cli.train import main
 from benchmark.recipes.recipe import RecipeConfig, recipe_names
 from benchmark.recipes.recipe_plan import RecipePlan, plan_recipe
+from benchmark.recipes.recipe_run import make_set
 from benchmark.recipes.recipe_show import plan_text, recipe_list, simulation_s, train_command
 from benchmark.training.options import TrainCommand
 from sensors.simulation.options import SimulationOptions
 from std_toolkit.cli.command_options import parse_options
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs import JobOptions
 
 
 def planned(tmp_path: Path, recipe: str, scale: str = "tiny", **told: Any) -> RecipePlan:
@@ -241,3 +243,16 @@ def test_the_command_line(tmp_path, capsys):
         error = capsys.readouterr().err
         assert error.startswith("error: ")
         assert error.count("\n") == 1
+
+
+def test_scenes_of_other_seeds_are_refused(tmp_path: Path) -> None:
+    """A set that was simulated at another size would be trained on as a whole."""
+    plan = planned(tmp_path, "data-scale")
+    train = plan.sets["train"]
+    train.check_scenes()  # nothing is there yet
+    write_set(train.root, "train", 3)
+    train.check_scenes()
+    write_set(train.root, "train", 2, first=3)
+    with pytest.raises(ToolkitError, match="scenes that are not of the set") as error:
+        make_set(train, JobOptions(engine="serial"))
+    assert error.value.value == "00003, 00004"

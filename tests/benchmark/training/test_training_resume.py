@@ -210,7 +210,7 @@ def test_one_training_per_folder(pack, tmp_path):
     (tmp_path / "run").mkdir()
     with (
         hold_lock(tmp_path / "run", "lock", doing="training in"),
-        pytest.raises(ToolkitError, match="another process is training in"),
+        pytest.raises(ToolkitError, match="another process is training in this folder"),
     ):
         trained(wishes("dfnet", pack), tmp_path / "run")
 
