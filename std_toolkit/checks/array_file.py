@@ -37,7 +37,7 @@ class ArrayFile:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self.folder = folder
         self._end = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -55,6 +55,10 @@ class ArrayFile:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove the file."""
         self._file.close()
 
     def put(self, array: NDArray[Any]) -> FiledArray:
@@ -77,12 +81,12 @@ class ArrayFile:
         """`size` bytes from `start`."""
         data = bytearray(size)
         if os.preadv(self._file.fileno(), [data], start) != size:
-            raise ToolkitError("a temporary file was cut short", path=self._folder)
+            raise ToolkitError("a temporary file was cut short", path=self.folder)
         return data
 
     def _failed(self, error: OSError) -> ToolkitError:
         return ToolkitError(
-            f"cannot write a temporary file: {error.strerror or error}", path=self._folder
+            f"cannot write a temporary file: {error.strerror or error}", path=self.folder
         )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.checks.array_file import ArrayFile
 from std_toolkit.checks.motion import INDEPENDENT_PX, FiledEquations, MotionEquations
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import Symmetry
@@ -109,18 +110,18 @@ def solve_motion(
     if not equations:
         return None
     dof = 7 if with_size else 6
-    rows = _Rows(equations, dof)
     prior = np.diag(1 / np.concatenate([_PRIOR, [_PRIOR_SIZE]])[:dof] ** 2)
     for motion in np.zeros((0, 6)) if free is None else free:
         row = np.zeros(dof)
         row[:6] = motion
         prior += np.outer(row, row) / _FIXED**2
-    found = _climbs(rows, prior)
-    at_label, *scores = _scores(rows, prior, [np.zeros(dof), *found])
-    best = int(np.argmax(scores))
-    xi = found[best]
-    std = _deviation(rows, xi)
-    information, squares = _information(rows, xi, std)
+    with _Rows(equations, dof) as rows:
+        found = _climbs(rows, prior)
+        at_label, *scores = _scores(rows, prior, [np.zeros(dof), *found])
+        best = int(np.argmax(scores))
+        xi = found[best]
+        std = _deviation(rows, xi)
+        information, squares = _information(rows, xi, std)
     covariance = np.linalg.inv(information + prior).astype(np.float64)
     # px per metre and per radian.
     for part, square in zip((slice(3), slice(3, 6)), squares, strict=True):
@@ -145,36 +146,10 @@ class _Block:
     share: Array
     jacobian: Array
 
-    @property
-    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
-        return self.offsets, self.strengths, self.clutter, self.share, self.jacobian
-
-    def responsibility(self, motion: Array) -> tuple[Array, Array]:
-        """(P, K) probabilities of the edges after a motion, and (P,) log likelihoods."""
-        width = _WIDTHS_PX[-1]
-        e = self.offsets - (self.jacobian @ motion)[:, None]
-        density = self.strengths * np.exp(-0.5 * (e / width) ** 2) / (np.sqrt(2 * np.pi) * width)
-        total = density.sum(axis=1) + self.clutter
-        return density / total[:, None], np.log(total)
-
-
-class _Rows:
-    """The equations of all frames, in blocks; the block of a short recording stays in memory."""
-
-    def __init__(self, equations: Sequence[MotionEquations | FiledEquations], dof: int) -> None:
-        self._equations, self._dof = equations, dof
-        self.one = self._read(equations) if len(equations) <= _BLOCK_FRAMES else None
-
-    def blocks(self) -> Iterator[_Block]:
-        if self.one is not None:
-            yield self.one
-            return
-        for first in range(0, len(self._equations), _BLOCK_FRAMES):
-            yield self._read(self._equations[first : first + _BLOCK_FRAMES])
-
-    def _read(self, equations: Sequence[MotionEquations | FiledEquations]) -> _Block:
+    @staticmethod
+    def of(equations: Sequence[MotionEquations | FiledEquations], dof: int) -> _Block:
         loaded = [e.load() for e in equations]
-        jacobian = np.concatenate([e.jacobian[:, : self._dof] for e in loaded])
+        jacobian = np.concatenate([e.jacobian[:, :dof] for e in loaded])
         offsets = np.concatenate([e.offsets for e in loaded]).astype(np.float64)
         strengths = np.concatenate([e.strengths for e in loaded]).astype(np.float64)
         clutter = np.concatenate([e.clutter for e in loaded]).astype(np.float64)
@@ -190,6 +165,50 @@ class _Rows:
             share,
             jacobian.astype(np.float64),
         )
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        return self.offsets, self.strengths, self.clutter, self.share, self.jacobian
+
+    def responsibility(self, motion: Array) -> tuple[Array, Array]:
+        """(P, K) probabilities of the edges after a motion, and (P,) log likelihoods."""
+        width = _WIDTHS_PX[-1]
+        e = self.offsets - (self.jacobian @ motion)[:, None]
+        density = self.strengths * np.exp(-0.5 * (e / width) ** 2) / (np.sqrt(2 * np.pi) * width)
+        total = density.sum(axis=1) + self.clutter
+        return density / total[:, None], np.log(total)
+
+
+class _Rows:
+    """The equations of all frames; those of a long recording are in blocks in a file."""
+
+    def __init__(self, equations: Sequence[MotionEquations | FiledEquations], dof: int) -> None:
+        self.one: _Block | None = None
+        self._file: ArrayFile | None = None
+        first = equations[0]
+        if len(equations) <= _BLOCK_FRAMES or isinstance(first, MotionEquations):
+            self.one = _Block.of(equations, dof)
+            return
+        # Searches read the rows twenty times: a block is one piece of the file.
+        self._file = ArrayFile(first.rows.file.folder)
+        self._blocks = [
+            [self._file.put(a) for a in _Block.of(equations[k : k + _BLOCK_FRAMES], dof).arrays]
+            for k in range(0, len(equations), _BLOCK_FRAMES)
+        ]
+
+    def __enter__(self) -> _Rows:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def blocks(self) -> Iterator[_Block]:
+        if self.one is not None:
+            yield self.one
+            return
+        for block in self._blocks:
+            yield _Block(*(np.asarray(a) for a in block))
 
 
 def _climbs(rows: _Rows, prior: Array) -> list[Array]:

@@ -169,7 +169,8 @@ class NearSymmetry:
             for k in range(3):
                 turns = [turn_about(self._surface.centre, so3_exp(basis[k] * np.deg2rad(a)))
                          for a in (20, 37, 45, 90)]  # fmt: skip
-                if max(self._aligned(t, steps=0)[1] for t in turns) <= 0.6 * _DISTANCE:
+                # Most axes fail at the first angle.
+                if all(self._aligned(t, steps=0)[1] <= 0.6 * _DISTANCE for t in turns):
                     return basis[k], names[k]
         return None
 
