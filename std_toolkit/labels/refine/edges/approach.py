@@ -82,9 +82,7 @@ def approach(
         share(0)
         others = [replace(o, fixed=True) for k, o in enumerate(found) if k != i]
         few = edge_search.spread_views(views, obj)
-        scorer = edge_search.EdgeScore(
-            few, obj, others, _JUDGED, reach_m=1.3 * around.reach_m, layers=layers
-        )
+        scorer = edge_search.EdgeScore(few, obj, others, _JUDGED, reach_m=1.3 * around.reach_m)
         if not scorer.views:
             continue
         tried = [_converged(few, obj, others, options, scorer, layers)]
@@ -98,7 +96,6 @@ def approach(
                 around,
                 count=_CANDIDATES,
                 thorough=thorough,
-                layers=layers,
                 progress=searched,
             )
             searched(1)
@@ -138,9 +135,7 @@ def search_turns(
         return obj.T_world_obj
     layers = LayerStore() if layers is None else layers
     few = edge_search.spread_views(views, obj)
-    scorer = edge_search.EdgeScore(
-        few, obj, others, _JUDGED, reach_m=options.rough_m, layers=layers
-    )
+    scorer = edge_search.EdgeScore(few, obj, others, _JUDGED, reach_m=options.rough_m)
     if not scorer.views:
         return obj.T_world_obj
     # Objects aligned with sensor depth may be a few pixels off.

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.refine.caster import LayerStore, WorldCaster
+from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.edges.outlines import EdgeMap, OutlineCaster, Window
 from std_toolkit.labels.refine.problem import Progress, RefineObject, RefineView, no_progress
 
@@ -69,7 +69,6 @@ class EdgeScore:
         obj: the object near the poses to score.
         others: neighbours at their poses, which act as occluders.
         reach_m: largest distance of the object from the pose of `obj`.
-        layers: cached layers of the neighbours in the views, if any.
     """
 
     def __init__(
@@ -80,10 +79,9 @@ class EdgeScore:
         level: ScoreLevel,
         *,
         reach_m: float,
-        layers: LayerStore | None = None,
     ) -> None:
         self._caster = OutlineCaster(obj)
-        world = WorldCaster(others, [o.T_world_obj for o in others], layers) if others else None
+        world = WorldCaster(others, [o.T_world_obj for o in others]) if others else None
         self._views = []
         for view in views:
             found = _window(view, obj, world, level, reach_m)
@@ -189,7 +187,6 @@ def search_edges(
     *,
     count: int = 3,
     thorough: bool = False,
-    layers: LayerStore | None = None,
     progress: Progress = no_progress,
 ) -> list[SE3]:
     """The most promising poses T_world_obj around an object's start, best first.
@@ -200,7 +197,6 @@ def search_edges(
         others: neighbours at their poses, which act as occluders.
         count: largest number of poses to return; they differ from each other.
         thorough: use a higher resolution, which takes several times as long.
-        layers: cached layers of the neighbours in the views, if any.
         progress: called with the completed fraction.
 
     Returns:
@@ -214,10 +210,8 @@ def search_edges(
     plan = _THOROUGH if thorough else _QUICK
     # Scoring the starts takes as long as a few generations.
     steps, done = 3 + sum(generations for _, generations in plan), 3
-    # Two levels of a plan have one resolution.
-    layers = LayerStore() if layers is None else layers
     for number, (level, generations) in enumerate(plan):
-        score = EdgeScore(chosen, obj, others, level, reach_m=around.reach_m, layers=layers)
+        score = EdgeScore(chosen, obj, others, level, reach_m=around.reach_m)
         if not score.views:
             return [obj.T_world_obj]
         value = moves.penalised(score, x)
