@@ -18,7 +18,7 @@ HISTOGRAM_BIN_M = 0.0005
 _BINS = round(2 * HISTOGRAM_LIMIT_M / HISTOGRAM_BIN_M)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class DepthResidual:
     """Rendered minus sensor depth on one object in one frame.
 

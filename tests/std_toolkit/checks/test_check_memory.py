@@ -13,6 +13,7 @@ from toy_balls import Toy
 
 from std_toolkit.checks import check_step, motion_solver
 from std_toolkit.checks.array_file import ArrayFile, FiledArray
+from std_toolkit.checks.coverage import measure_coverage
 from std_toolkit.checks.motion import MotionEquations, pooled_support
 from std_toolkit.checks.motion_solver import solve_motion
 from std_toolkit.checks.sensor_depth import ErrorTally
@@ -107,6 +108,20 @@ def test_the_memory_of_a_solution_does_not_grow_with_frames(
             tracemalloc.stop()
     # 48 more frames of 100 points have 0.6 MB of numbers in double precision.
     assert largest[64] < 1.1 * largest[16] + 20_000
+
+
+def test_the_memory_of_view_directions_does_not_grow_with_pairs_of_views() -> None:
+    random = np.random.default_rng(0)
+    azimuth, elevation = random.uniform(0, 360, 4000), random.uniform(-20, 80, 4000)
+    a, e = np.deg2rad(azimuth), np.deg2rad(elevation)
+    d = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
+    widest = np.degrees(np.arccos((d @ d.T).min()))
+    tracemalloc.start()
+    found = measure_coverage(azimuth, elevation)
+    largest = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found is not None and found.parallax_deg == pytest.approx(widest, abs=1e-6)
+    assert largest < 20e6  # all pairs: 128 MB
 
 
 def test_a_tally_in_a_file_counts_the_same(tmp_path: Path) -> None:
