@@ -78,11 +78,16 @@ class ArrayFile:
         return FiledArray(self, start, array.shape, array.dtype.str)
 
     def read(self, start: int, size: int) -> bytearray:
-        """`size` bytes from `start`."""
-        data = bytearray(size)
-        if os.preadv(self._file.fileno(), [data], start) != size:
+        """`size` bytes from `start`.
+
+        Raises:
+            ToolkitError: the file was cut by somebody else.
+        """
+        data = os.pread(self._file.fileno(), size, start)
+        if len(data) != size:
             raise ToolkitError("a temporary file was cut short", path=self.folder)
-        return data
+        # Compiled code takes arrays that can be written to.
+        return bytearray(data)
 
     def _failed(self, error: OSError) -> ToolkitError:
         return ToolkitError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
@@ -152,6 +154,17 @@ def test_a_file_of_arrays_that_was_cut_is_refused(tmp_path: Path) -> None:
         longer = FiledArray(file, kept.start, (9,), kept.type)
         with pytest.raises(ToolkitError, match="cut short"):
             np.asarray(longer)
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with ArrayFile(tmp_path) as file:
+        monkeypatch.setattr(os, "pwrite", full)
+        with pytest.raises(ToolkitError, match="No space left on device") as error:
+            file.put(np.arange(3))
+    assert error.value.path == str(tmp_path)
 
 
 def test_a_folder_that_cannot_hold_the_file_is_named(tmp_path: Path) -> None:
