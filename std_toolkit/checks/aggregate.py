@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import hypot
 from typing import Any
@@ -337,10 +337,12 @@ def _edge(observation: ObjectObservation) -> float | None:
     return observation.edges.median_px if judged and observation.edges is not None else None
 
 
-def _merged(tallies: Sequence[sensor_depth.ErrorTally]) -> sensor_depth.ErrorTally:
+def _merged(
+    tallies: Iterable[sensor_depth.ErrorTally | sensor_depth.FiledTally],
+) -> sensor_depth.ErrorTally:
     total = sensor_depth.ErrorTally()
     for tally in tallies:
-        total.merge(tally)
+        total.merge(tally.load())
     return total
 
 

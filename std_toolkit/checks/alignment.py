@@ -30,7 +30,7 @@ _LARGEST_SAMPLE = 300
 _LARGEST_SPREAD_PX = 2.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class DepthShift:
     """Shift of the depth image against a contour that fits the colour image.
 

@@ -22,6 +22,7 @@ from std_toolkit.checks import (
     residuals,
     result,
 )
+from std_toolkit.checks.array_file import ArrayFile
 from std_toolkit.checks.coverage import spread
 from std_toolkit.checks.inject import inject_faults
 from std_toolkit.checks.judge import judge_scene
@@ -74,7 +75,8 @@ def run_check(
         if document.is_fresh(scene.root, STEP, digest):
             logger.info("check: nothing changed, the report is up to date")
             return read_document(scene.root / FOLDER / "report.json", result.CheckReport)
-        report, page = _check(scene, frames, fingerprint, options, jobs)
+        with ArrayFile(scene.root / ".std") as arrays:
+            report, page = _check(scene, frames, fingerprint, options, jobs, arrays)
         outputs = {
             "report.html": page.encode(),
             "report.csv": result.objects_csv(report),
@@ -116,10 +118,15 @@ def _check(
     fingerprint: str,
     options: CheckOptions,
     jobs: JobOptions | None,
+    arrays: ArrayFile,
 ) -> tuple[result.CheckReport, str]:
     work: dict[str, Any] = {"root": scene.root, "fingerprint": fingerprint, "options": options}
     observed_job = run_jobs(
-        partial(residuals.observe_frame, **work), [f.id for f in frames], name="check", options=jobs
+        partial(residuals.observe_frame, **work),
+        [f.id for f in frames],
+        name="check",
+        options=jobs,
+        keep=lambda seen: seen.filed(arrays),
     )
     observed = list(observed_job.results.values())
     problems = {int(k): v for k, v in observed_job.failed.items()}

@@ -12,10 +12,10 @@ from std_toolkit.compiled import compiled
 
 
 @compiled
-def normal_equations(  # type: ignore[no-untyped-def]
-    offsets, strengths, clutter, share, jacobian, motion, width
+def add_normal_equations(  # type: ignore[no-untyped-def]
+    offsets, strengths, clutter, share, jacobian, motion, width, A, b
 ):
-    """Normal equations (D, D) and (D,) of a motion to the edges that it makes likely.
+    """Add the normal equations of a motion to the edges that it makes likely.
 
     Args:
         offsets: (P, K) positions of edges along the normals in px.
@@ -25,9 +25,9 @@ def normal_equations(  # type: ignore[no-untyped-def]
         jacobian: (P, D) px per unit of motion.
         motion: (D,) at which edges are weighed.
         width: standard deviation of an edge in px.
+        A, b: (D, D) and (D,) sums, of which the lower triangle is filled.
     """
     size = jacobian.shape[1]
-    A, b = np.zeros((size, size)), np.zeros(size)
     scale = 1 / (np.sqrt(2 * np.pi) * width)
     for p in range(len(offsets)):
         moved = 0.0
@@ -44,10 +44,15 @@ def normal_equations(  # type: ignore[no-untyped-def]
             b[i] += jacobian[p, i] * factor * pulled
             for j in range(i + 1):
                 A[i, j] += jacobian[p, i] * jacobian[p, j] * factor * density
-    for i in range(size):
+
+
+@compiled
+def next_motion(A, b, prior):  # type: ignore[no-untyped-def]
+    """(D,) motion that solves normal equations with a prior (D, D)."""
+    for i in range(len(b)):
         for j in range(i):
             A[j, i] = A[i, j]
-    return A, b
+    return np.linalg.solve(A + prior, b)
 
 
 @compiled
@@ -57,16 +62,18 @@ def climb(  # type: ignore[no-untyped-def]
     """(D,) motion after some steps with each of the widths, from a motion (D,).
 
     Args:
-        offsets, strengths, clutter, share, jacobian: see `normal_equations`.
+        offsets, strengths, clutter, share, jacobian: see `add_normal_equations`.
         prior: (D, D) added to the normal equations.
         motion: (D,) to start from.
         widths: (W,) px.
         steps: number of steps with each width.
     """
+    size = len(motion)
     for width in widths:
         for _ in range(steps):
-            A, b = normal_equations(offsets, strengths, clutter, share, jacobian, motion, width)
-            motion = np.linalg.solve(A + prior, b)
+            A, b = np.zeros((size, size)), np.zeros(size)
+            add_normal_equations(offsets, strengths, clutter, share, jacobian, motion, width, A, b)
+            motion = next_motion(A, b, prior)
     return motion
 
 

@@ -75,7 +75,7 @@ class Profiles:
     index: NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class EdgeDistance:
     """Distances from contour points to the nearest image edge along their normals.
 
@@ -93,7 +93,7 @@ class EdgeDistance:
     points: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Shift:
     """The shift of the whole contour that fits the image edges best.
 

@@ -13,17 +13,18 @@ from std_toolkit.checks.contours import mesh_problem
 from std_toolkit.checks.faults import object_centre
 from std_toolkit.checks.motion import (
     FEWEST_FRAMES,
-    Motion,
+    FiledEquations,
     MotionEquations,
     Support,
     pooled_support,
-    solve_motion,
-    symmetry_motions,
 )
+from std_toolkit.checks.motion_solver import Motion, solve_motion, symmetry_motions
 from std_toolkit.checks.residuals import FrameObservation
 from std_toolkit.checks.result import CheckGate, CheckWarning, ObjectCheck, ObjectFrameCheck
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
+
+_Equations = MotionEquations | FiledEquations
 
 # Motions below these are not worth a warning.
 _NOTED_MM = 2.0
@@ -247,8 +248,8 @@ def _with_motion(
         return item
     if mesh_problem(scene, item.model) is not None:
         return item
-    rows: dict[int, MotionEquations] = {}
-    judged: dict[int, MotionEquations] = {}
+    rows: dict[int, _Equations] = {}
+    judged: dict[int, _Equations] = {}
     for frame in observed:
         seen = frame.objects.get(item.object)
         if seen is not None and seen.motion is not None:
@@ -312,12 +313,14 @@ def _with_motion(
 
 
 def _frame_row(
-    row: ObjectFrameCheck, equations: MotionEquations | None, free: NDArray[np.float64]
+    row: ObjectFrameCheck, filed: _Equations | None, free: NDArray[np.float64]
 ) -> ObjectFrameCheck:
     """The row with the support of the label in this frame, and the motion by this frame alone."""
-    alone = solve_motion([equations], free) if equations is not None else None
-    if equations is None or alone is None:
+    if filed is None:
         return row
+    equations = filed.load()
+    alone = solve_motion([equations], free)
+    assert alone is not None
     on_edges, chance = equations.support(np.zeros(6))
     (mm, mm_std), (deg, deg_std) = alone.translation_mm, alone.rotation_deg
     return msgspec.structs.replace(
@@ -343,7 +346,7 @@ def _is_supported(support: Support) -> bool:
     return support.frames > 0.5 or together
 
 
-def _keeps_support(motion: Motion, support: Support, equations: Sequence[MotionEquations]) -> bool:
+def _keeps_support(motion: Motion, support: Support, equations: Sequence[_Equations]) -> bool:
     """Whether the label itself lies on edges, where the motion to better ones is not significant.
 
     Reflections on steel leave the motion so uncertain that a wrong label may lie within it.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.alignment import DepthShift, depth_shift
+from std_toolkit.checks.array_file import ArrayFile
 from std_toolkit.checks.contours import NOTHING, Contour, LabelCaster, trace_contour
 from std_toolkit.checks.edges import (
     EdgeDistance,
@@ -22,8 +23,13 @@ from std_toolkit.checks.edges import (
     shift_jacobian,
     smooth_image,
 )
-from std_toolkit.checks.motion import MotionEquations, motion_equations
-from std_toolkit.checks.sensor_depth import DepthResidual, ErrorTally, depth_residual
+from std_toolkit.checks.motion import FiledEquations, MotionEquations, motion_equations
+from std_toolkit.checks.sensor_depth import (
+    DepthResidual,
+    ErrorTally,
+    FiledTally,
+    depth_residual,
+)
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.options import CheckOptions
 from std_toolkit.rendering import ground_truth
@@ -32,7 +38,7 @@ from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class ObjectObservation:
     """One object in one frame.
 
@@ -55,10 +61,10 @@ class ObjectObservation:
     jacobian: NDArray[np.float64] | None = None
     metres_per_px: float | None = None
     depth_shift: DepthShift | None = None
-    motion: MotionEquations | None = None
+    motion: MotionEquations | FiledEquations | None = None
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class FrameObservation:
     """One frame.
 
@@ -73,10 +79,25 @@ class FrameObservation:
 
     frame: int
     objects: dict[int, ObjectObservation] = field(default_factory=dict)
-    tallies: dict[int, ErrorTally] = field(default_factory=dict)
+    tallies: dict[int, ErrorTally | FiledTally] = field(default_factory=dict)
     has_depth: bool = False
     truth: str = "none"
     depth_valid: float | None = None
+
+    def filed(self, file: ArrayFile) -> FrameObservation:
+        """The frame with its arrays moved into a file; some numbers per object stay in memory.
+
+        Raises:
+            ToolkitError: the disk is full.
+        """
+        objects = {
+            i: replace(o, motion=None if o.motion is None else o.motion.load().filed(file))
+            for i, o in self.objects.items()
+        }
+        tallies: dict[int, ErrorTally | FiledTally] = {
+            i: t.load().filed(file) for i, t in self.tallies.items()
+        }
+        return replace(self, objects=objects, tallies=tallies)
 
 
 @dataclass(frozen=True, eq=False)

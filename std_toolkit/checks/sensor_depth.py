@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.checks.array_file import ArrayFile, FiledArray
+
 FEWEST_PIXELS = 50
 # Depth sensors mix foreground and background within some pixels of an outline.
 EDGE_MARGIN_PX = 3
@@ -16,7 +18,7 @@ HISTOGRAM_BIN_M = 0.0005
 _BINS = round(2 * HISTOGRAM_LIMIT_M / HISTOGRAM_BIN_M)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class DepthResidual:
     """Rendered minus sensor depth on one object in one frame.
 
@@ -140,3 +142,45 @@ class ErrorTally:
         reach = round(limit_m / HISTOGRAM_BIN_M)
         middle = _BINS // 2
         return float(self.histogram[middle - reach : middle + reach].sum() / self.truth_pixels)
+
+    def load(self) -> ErrorTally:
+        """The tally itself, see `FiledTally.load`."""
+        return self
+
+    def filed(self, file: ArrayFile) -> FiledTally:
+        """The tally with its histogram moved into a file.
+
+        Raises:
+            ToolkitError: the disk is full.
+        """
+        counts = np.zeros(0, np.int64) if self.histogram is None else self.histogram
+        smallest = np.min_scalar_type(int(counts.max(initial=0)))
+        return FiledTally(
+            self.truth_pixels,
+            self.measured_pixels,
+            self.sum_abs,
+            self.sum_square,
+            file.put(counts.astype(smallest)),
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FiledTally:
+    """An `ErrorTally` of one frame with its histogram in a file."""
+
+    truth_pixels: int
+    measured_pixels: int
+    sum_abs: float
+    sum_square: float
+    histogram: FiledArray
+
+    def load(self) -> ErrorTally:
+        """The tally, its histogram read from the file."""
+        counts = np.asarray(self.histogram, dtype=np.int64)
+        return ErrorTally(
+            self.truth_pixels,
+            self.measured_pixels,
+            self.sum_abs,
+            self.sum_square,
+            counts if len(counts) else None,
+        )

@@ -86,6 +86,7 @@ def run_jobs(
     name: str,
     key: Callable[[Item], str] = str,
     options: JobOptions | None = None,
+    keep: Callable[[Result], Result] | None = None,
 ) -> JobReport[Result]:
     """Run `fn` on every item; an item that fails does not stop the run.
 
@@ -98,6 +99,8 @@ def run_jobs(
         name: shown in the progress bar and in errors.
         key: name of an item in the report; must be unique.
         options: engine and number of workers.
+        keep: called in this process with each result as it arrives, in any order; what it returns
+            is in the report in place of the result, which may be too large to keep.
 
     Returns:
         Results in item order, and the failures. The caller decides whether failures are fatal.
@@ -125,6 +128,8 @@ def run_jobs(
         began = told = time.monotonic()
         failed = 0
         for index, outcome in stream:
+            if keep is not None and outcome.error is None:
+                outcome = Outcome(result=keep(outcome.result))  # type: ignore[arg-type]
             outcomes[index] = outcome
             bar.update()
             if outcome.error is not None:

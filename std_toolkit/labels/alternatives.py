@@ -41,8 +41,8 @@ _HOPELESS = 0.15
 # Distance below which a turn counts as exact: not even a perfect outline tells it.
 _EXACT = 0.01
 
-# Turns nearer to one another are the same.
-_SAME_TURN = np.deg2rad(10)
+# Turns nearer to one another are the same; of nearer ones both fail if one does.
+_SAME_TURN, _EQUAL_TURN = np.deg2rad(10), np.deg2rad(0.1)
 
 # Turns that are tried about the axis of a surface of revolution.
 _ROUND_STEP_DEG = 20
@@ -148,6 +148,7 @@ class NearSymmetry:
 
     def _find(self) -> Iterator[Alternative]:
         found: list[SE3] = []
+        failed: list[SE3] = []
         tried = [*_cube_turns(self._bases)]
         axis = self._round_axis()
         if axis is not None:
@@ -156,12 +157,16 @@ class NearSymmetry:
             turn = turn_about(self._surface.centre, rotation)
             if rotation_error(turn, SE3.identity(), self._symmetry) < _FAR:
                 continue
-            if self._same.any(turn, found):
+            # Half of the turns of a cube are others in other words; upside-down turns of a bottle
+            # differ by its symmetry only.
+            if self._same.any(turn, found) or self._same.any(turn, failed, within=_EQUAL_TURN):
                 continue
-            turn, distance = self._aligned(turn)
+            aligned, distance = self._aligned(turn)
             if distance <= _DISTANCE:
-                found.append(turn)
-                yield Alternative(turn, text, distance)
+                found.append(aligned)
+                yield Alternative(aligned, text, distance)
+            else:
+                failed.append(turn)
 
     def _round_axis(self) -> tuple[Array, str] | None:
         """The axis about which the mesh is a surface of revolution, if there is one."""
@@ -169,7 +174,8 @@ class NearSymmetry:
             for k in range(3):
                 turns = [turn_about(self._surface.centre, so3_exp(basis[k] * np.deg2rad(a)))
                          for a in (20, 37, 45, 90)]  # fmt: skip
-                if max(self._aligned(t, steps=0)[1] for t in turns) <= 0.6 * _DISTANCE:
+                # Most axes fail at the first angle.
+                if all(self._aligned(t, steps=0)[1] <= 0.6 * _DISTANCE for t in turns):
                     return basis[k], names[k]
         return None
 
@@ -200,7 +206,7 @@ class NearSymmetry:
 
 
 class _SameTurn:
-    """Whether a turn is nearer than `_SAME_TURN` to known ones, over the declared symmetries."""
+    """Whether a turn is near known ones, over the declared symmetries."""
 
     def __init__(self, symmetry: Symmetry) -> None:
         self._spherical = symmetry.is_spherical
@@ -208,15 +214,15 @@ class _SameTurn:
         axes = [np.asarray(axis) / np.linalg.norm(axis) for axis, _ in symmetry.continuous]
         self._axes = np.reshape(axes, (-1, 3))
 
-    def any(self, turn: SE3, known: Sequence[SE3]) -> bool:
-        """True if one of them is as near."""
+    def any(self, turn: SE3, known: Sequence[SE3], *, within: float = _SAME_TURN) -> bool:
+        """True if one of them is nearer than an angle, radians."""
         if self._spherical or not known:
             return bool(known)
         R = np.stack([k.R for k in known])[:, None] @ self._discrete
         # Cosines of the angles of R^T turn, and between the axes of revolution.
         whole = ((R * turn.R).sum(axis=(2, 3)) - 1) / 2
         about = ((R @ self._axes.T) * (turn.R @ self._axes.T)).sum(axis=2)
-        return bool(max(whole.max(), about.max(initial=-1.0)) > np.cos(_SAME_TURN))
+        return bool(max(whole.max(), about.max(initial=-1.0)) > np.cos(within))
 
 
 class _Views:

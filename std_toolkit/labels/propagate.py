@@ -52,8 +52,8 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
         sweep_temporaries(scene.root)
         require_metres(scene)
         chosen = _chosen_labels(scene, options)
-        digest = _digest(scene, chosen, options)
-        if is_fresh(scene.root, STEP, digest):
+        files = _file_digests(scene, options)
+        if is_fresh(scene.root, STEP, _digest(scene, chosen, options, files)):
             logger.info("propagate: up to date")
             return scene.labels
         placed = {x.object: place_label(scene, x) for x in chosen}
@@ -78,7 +78,8 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
             write_record(
                 scene.root,
                 STEP,
-                _digest(scene, chosen, options),
+                # The camera poses may have a new scale; the files are those that were read.
+                _digest(scene, chosen, options, files),
                 outputs=[scene.root / "labels.json"],
                 parameters=_parameters(options),
             )
@@ -171,7 +172,8 @@ def _chosen_labels(scene: Scene, options: PropagateOptions) -> list[Label]:
     return chosen
 
 
-def _digest(scene: Scene, chosen: list[Label], options: PropagateOptions) -> str:
+def _file_digests(scene: Scene, options: PropagateOptions) -> list[list[str]]:
+    """Digests of the images and of the meshes that a propagation reads."""
     images: list[str] = []
     if options.refine:
         # All frames: the selection of keyframes depends on them.
@@ -179,15 +181,19 @@ def _digest(scene: Scene, chosen: list[Label], options: PropagateOptions) -> str
             images.append(digest_file(scene.color_path(frame)))
             if frame.depth is not None and options.use_depth:
                 images.append(digest_file(scene.root / frame.depth))
-    meshes = [digest_file(scene.mesh_path(model)) for model in scene.objects.models]
+    return [images, [digest_file(scene.mesh_path(model)) for model in scene.objects.models]]
+
+
+def _digest(
+    scene: Scene, chosen: list[Label], options: PropagateOptions, files: list[list[str]]
+) -> str:
     return digest_of(
         [without_derived(x) for x in chosen],
         scene.objects,
         scene.info,
         scene.frame_table,
         scene.poses,
-        images,
-        meshes,
+        *files,
         _parameters(options),
     )
 

@@ -31,6 +31,20 @@ def test_results_come_in_item_order(options: JobOptions) -> None:
     report.raise_if_failed()
 
 
+@engines
+def test_what_is_kept_of_results_is_in_the_report(options: JobOptions) -> None:
+    asked = []
+
+    def half(result: int) -> int:
+        asked.append(result)
+        return -result
+
+    report = run_jobs(job_items.odd_raises, range(5), name="kept", options=options, keep=half)
+    assert report.results == {"0": 0, "2": -2, "4": -4}
+    assert sorted(asked) == [0, 2, 4]
+    assert list(report.failed) == ["1", "3"]
+
+
 def test_all_cores_serve_where_the_system_has_no_affinity(monkeypatch) -> None:
     """As on macOS and Windows."""
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)

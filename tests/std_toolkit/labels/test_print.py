@@ -151,6 +151,28 @@ def test_only_as_many_turns_are_searched_as_are_looked_at(monkeypatch) -> None:
     assert len(near.turns) == 3 and len(tried) == count
 
 
+def test_a_turn_that_failed_is_not_tried_again_in_other_words(monkeypatch) -> None:
+    """A cube has 23 turns, listed as 45; a bottle differs upside down from itself only."""
+    tried = []
+
+    def failed(_: NearSymmetry, turn: SE3, **__: int) -> tuple[SE3, float]:
+        tried.append(turn)
+        return turn, float("inf")
+
+    monkeypatch.setattr(NearSymmetry, "_aligned", failed)
+    monkeypatch.setattr(NearSymmetry, "_round_axis", lambda _: None)
+    mesh = box_mesh(None)
+    shape = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    assert NearSymmetry(*shape).turns == ()
+    assert len(tried) == 23
+    tried.clear()
+    round_ = Symmetry(continuous=(((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),))
+    monkeypatch.setattr(NearSymmetry, "_round_axis", lambda _: (np.array([0.0, 0.0, 1.0]), "z"))
+    assert NearSymmetry(*shape, round_).turns == ()
+    # Upside down, and lying in four directions.
+    assert len(tried) == 5
+
+
 @pytest.mark.parametrize(
     "symmetry",
     [
