@@ -128,4 +128,5 @@ def test_the_messages_that_it_explains_are_those_of_the_program() -> None:
     assert len(quoted) > 10
     told = _told()
     told += [t.replace("{}", name, 1) for t in told for name in ("annotating", "a window")]
+    told += [t.replace("{}", "scene", 1) for t in told if "{}" in t]
     assert [m for m in quoted if not any(m in text for text in told)] == []
