@@ -188,9 +188,8 @@ def _fused(
 ) -> Fusion:
     middle = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
     weights = agreeing(views, layers, middle, threads=threads)
-    maps = [m for maps in layers for m in maps]
-    every = [w for of_layer in weights for w in of_layer]
-    return fuse([*views] * len(layers), maps, every, hull, grid, threads=threads)
+    maps = [m for of_layer in layers for m in of_layer]
+    return fuse([*views] * len(layers), maps, weights, hull, grid, threads=threads)
 
 
 def _grid(views: Sequence[View], voxels: int, on_table: bool) -> tuple[Grid, float]:

@@ -1,9 +1,9 @@
-"""The photos of a scan: listing, reduction of large ones, sharpness, cameras from a file."""
+"""The photos of a scan: of a folder or an RGB-D scene, reduced, their sharpness and cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -15,6 +15,8 @@ from std_toolkit.geometry import SE3, Camera, undistort_image
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color, write_color
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
+from std_toolkit.poses.features import FrameMeasure, measure_image
+from std_toolkit.scanning.video import PHOTOS, spread
 from std_toolkit.scanning.views import View
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.document import digest_file
@@ -109,6 +111,43 @@ def find_photos(folder: Path, work: Path, *, longest: int) -> Photos:
     return photos_of(paths, folder, work, longest=longest)
 
 
+def is_scene(path: Path) -> bool:
+    """Whether a folder is a scene of `std-curate import`."""
+    return (path / "scene.json").is_file()
+
+
+def scene_photos(root: Path, work: Path, *, longest: int) -> Photos:
+    """The colour frames of a scene as photos; of many about 60, spread evenly over the motion.
+
+    Args:
+        root: folder of the scene.
+        work: receives reduced copies.
+        longest: longer side of the images that are used, pixels.
+
+    Raises:
+        ToolkitError: an unreadable scene, too few frames, or frames of several cameras.
+    """
+    scene = Scene.open(root)
+    cameras = sorted({frame.camera for frame in scene.frames})
+    if len(cameras) > 1:
+        raise ToolkitError(
+            "the scene has several cameras", path=root, value=", ".join(cameras),
+            hint="import the frames of one camera",
+        )  # fmt: skip
+    frames = scene.frames
+    if len(frames) > PHOTOS:
+        measures: list[FrameMeasure] = []
+        previous: NDArray[np.uint8] | None = None
+        for frame in frames:
+            grey = cv2.cvtColor(scene.read_color(frame), cv2.COLOR_RGB2GRAY)
+            measure, previous = measure_image(np.asarray(grey, np.uint8), previous)
+            measures.append(measure)
+        frames = [frames[i] for i in spread(measures, PHOTOS)]
+        logger.info("%s: %d of %d frames are used", root.name, len(frames), len(scene.frames))
+    found = photos_of([scene.color_path(f) for f in frames], root, work, longest=longest)
+    return replace(found, sensor=Sensor(scene, tuple(frames)))
+
+
 def photos_of(paths: Sequence[Path], folder: Path, work: Path, *, longest: int) -> Photos:
     """Photos, large ones reduced; arguments and errors as of `find_photos`."""
     if len(paths) < MIN_PHOTOS:
@@ -186,23 +225,20 @@ def known_views(photos: Photos, options: KnownCameras, intrinsics: str | None) -
     frames = [Frame(id=i, name=p.stem, color=f"color/{p.name}") for i, p in enumerate(photos.paths)]
     known = read_known_poses(options, frames)
     given = None if intrinsics is None else read_intrinsics(intrinsics)
-    of_sensor = None if photos.sensor is None else photos.sensor.camera(photos.size)
     views = []
     for i, T in known.poses().items():
         lens = known.filed.lenses[known.row[i]] if len(known.filed.lenses) else None
         found = given if given is not None else lens
-        if found is None and of_sensor is not None:
-            views.append(make_view(photos, i, of_sensor, T))
-            continue
-        if found is None:
+        if found is not None:
+            whole = image_size(photos.paths[i])
+            camera = Camera(*whole, found.fx, found.fy, found.cx, found.cy, found.distortion)
+        elif photos.sensor is not None:
+            camera = photos.sensor.camera(photos.size)
+        else:
             raise ToolkitError(
                 "the file has no intrinsics", path=options.cameras, hint="give --intrinsics"
             )
-        whole = image_size(photos.paths[i])
-        camera = Camera(*whole, found.fx, found.fy, found.cx, found.cy, found.distortion).resized(
-            *photos.size
-        )
-        views.append(make_view(photos, i, camera, T))
+        views.append(make_view(photos, i, camera.resized(*photos.size), T))
     return views
 
 

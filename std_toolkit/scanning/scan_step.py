@@ -30,7 +30,6 @@ from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.posed_photos import PosedPhotos, Scan
 from std_toolkit.scanning.revolve import fit_revolution
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
-from std_toolkit.scanning.scene_photos import is_scene, scene_photos
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.turned_over import find_turn
 from std_toolkit.scanning.video import is_video, sample_video
@@ -112,8 +111,8 @@ def _posed(
     options: ScanOptions, stages: Stages, work: Path, lap: Callable[[str], None]
 ) -> PosedPhotos:
     """Photos of one position with poses."""
-    if is_scene(options.photos):
-        found = scene_photos(options.photos, work, longest=options.image_size)
+    if photo_files.is_scene(options.photos):
+        found = photo_files.scene_photos(options.photos, work, longest=options.image_size)
     else:
         folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
         found = photo_files.find_photos(folder, work, longest=options.image_size)

@@ -46,8 +46,8 @@ def agreeing(
     target: Array,
     *,
     threads: int = 1,
-) -> list[list[NDArray[np.float32]]]:
-    """Weight (h, w) of every pixel of the depth maps; 0 where no two other photos agree.
+) -> list[NDArray[np.float32]]:
+    """Weight (h, w) of every pixel of the depth maps, layer by layer; 0 where no two others agree.
 
     Args:
         views: photos.
@@ -88,8 +88,7 @@ def agreeing(
         return weight
 
     places = [(layer, i) for layer in range(len(layers)) for i in range(len(views))]
-    weights = in_threads(one, places, threads=threads)
-    return [weights[n : n + len(views)] for n in range(0, len(weights), len(views))]
+    return in_threads(one, places, threads=threads)
 
 
 def _agree(m: DepthMap, p: Array, z: Array) -> NDArray[np.bool_]:

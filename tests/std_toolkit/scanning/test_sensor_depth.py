@@ -18,9 +18,8 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning import scan_step
 from std_toolkit.scanning.depth_maps import depth_maps
 from std_toolkit.scanning.measured_surface import Side, fused_surface, measure_side
-from std_toolkit.scanning.photos import Photos
+from std_toolkit.scanning.photos import Photos, is_scene, scene_photos
 from std_toolkit.scanning.posed_photos import PosedPhotos
-from std_toolkit.scanning.scene_photos import is_scene, scene_photos
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.views import View
 from std_toolkit.scene import CameraModel, Frames, ObjectTable, Scene, SceneInfo
