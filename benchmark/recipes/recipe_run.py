@@ -126,24 +126,26 @@ def run_recipe(
 def spent(out: Path, step: str) -> Iterator[None]:
     """Add the processor time of a step, and of the processes that it ended, to `COSTS`.
 
-    An interrupted step counts; one that is killed does not. Commands that run side by side in one
-    folder may lose a step's time.
+    An interrupted step counts; one that is killed does not.
 
     Args:
         out: folder of the scale.
         step: its kind (`set`, `pack`, `training`, `scores`) and name.
     """
+    from std_toolkit.io.atomic import hold_lock
     from std_toolkit.io.documents import read_document, write_document
 
     begun = sum(os.times()[:4])
     try:
         yield
     finally:
-        file = out / COSTS
-        costs = read_document(file, dict[str, float]) if file.is_file() else {}
-        costs[step] = round(costs.get(step, 0.0) + sum(os.times()[:4]) - begun, 2)
+        file, added = out / COSTS, sum(os.times()[:4]) - begun
         out.mkdir(parents=True, exist_ok=True)
-        write_document(file, costs)
+        # Commands may run side by side in one folder.
+        with hold_lock(out, "costs", doing="adding costs to", wait=True, what="folder"):
+            costs = read_document(file, dict[str, float]) if file.is_file() else {}
+            costs[step] = round(costs.get(step, 0.0) + added, 2)
+            write_document(file, costs)
 
 
 def _pose(

@@ -44,6 +44,7 @@ from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.poses.board_sheet import make_board_sheet
+from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import CameraModel
 
 _TABLE_HALF_M = 1.2
@@ -312,8 +313,9 @@ def _defocus(
 def _begin(options: TurntableOptions) -> None:
     """Refuse a folder that was begun with other options."""
     path = options.out / _BEGUN
-    values = msgspec.to_builtins(asdict(options), enc_hook=str)
-    wanted = {k: v for k, v in values.items() if k != "out"}
+    values = {k: v for k, v in asdict(options).items() if k != "out"}
+    # Files by name and content, for folders move.
+    wanted = msgspec.to_builtins(values, enc_hook=lambda file: f"{file.name} {digest_file(file)}")
     if path.exists():
         begun = read_document(path, dict[str, Any])
         if begun != json.loads(json.dumps(wanted)):

@@ -170,11 +170,11 @@ def object_labels(
         spacing: metres between points.
         views, angles, depths: of the grasps of a point.
     """
-    from benchmark.training.grasp.hits import any_inside
+    from benchmark.metrics.grasp.points_in_boxes import PointGrid
 
     mesh = force_closure.GraspedMesh(vertices, faces)
     points = force_closure.even_points(vertices, faces, spacing)
-    surface = force_closure.even_points(vertices, faces, _SURFACE)
+    surface = PointGrid(force_closure.even_points(vertices, faces, _SURFACE))
     rotations = gripper_rotations(views, angles)
     grid = (len(points), views, angles, len(depths))
     friction, widths = np.zeros(grid, np.uint8), np.zeros(grid, np.uint8)
@@ -195,7 +195,7 @@ def object_labels(
         R = rotations.reshape(-1, 3, 3)[good // len(depths)]
         boxes = gripper.boxes(code * UNIT, reach[good])
         places = np.broadcast_to(point, (len(good), 3))
-        free = ~any_inside(surface, R, places, boxes, margin=0.0)
+        free = ~surface.count(R, places, boxes, first_only=True).any(axis=1)
         kept = good[free]
         friction[number].reshape(-1)[kept] = 1 + np.rint(
             (scores[kept] - force_closure.FRICTIONS[0])
@@ -273,8 +273,7 @@ def _hits(
     others: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
     """(r, v, a, d) grasps of the rows that hit the table or other objects."""
-    from benchmark.training.grasp.hits import any_inside
-
+    around = collision.Cloud(others)
     codes = labels.friction[rows]
     hit = np.zeros(codes.shape, bool)
     good = np.flatnonzero(codes)
@@ -284,12 +283,6 @@ def _hits(
         wrong = collision.hits_plane(grasps, gripper, SE3.identity())
         free = np.flatnonzero(~wrong)
         boxes = gripper.boxes(grasps.widths[free], grasps.depths[free])
-        wrong[free] = any_inside(
-            others,
-            grasps.rotations[free],
-            grasps.translations[free],
-            boxes,
-            margin=_SPACING / 2,
-        )
+        wrong[free] = around.any_inside(grasps[free], boxes, margin=_SPACING / 2)
         hit.reshape(-1)[part] = wrong
     return hit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -55,6 +56,17 @@ def test_other_options_in_the_same_folder_are_refused(mesh_file: Path, tmp_path:
         make_turntable(TurntableOptions(mesh=mesh_file, out=out))
     with pytest.raises(ToolkitError, match="views"):
         TurntableOptions(mesh=mesh_file, out=out, views=1)
+
+
+def test_a_folder_goes_on_with_the_same_mesh_elsewhere(mesh_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_truth(TurntableOptions(mesh=mesh_file, out=out))
+    (moved := tmp_path / "moved").mkdir()
+    copy = Path(shutil.copy(mesh_file, moved))
+    write_truth(TurntableOptions(mesh=copy, out=out))
+    copy.write_bytes(copy.read_bytes() + b"\n")
+    with pytest.raises(ToolkitError, match="other options"):
+        write_truth(TurntableOptions(mesh=copy, out=out))
 
 
 @pytest.mark.long

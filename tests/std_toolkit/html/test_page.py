@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -70,7 +71,7 @@ def test_a_page_with_a_figure_carries_the_library_once() -> None:
     assert len(page) < 2_200_000
 
 
-@given(st.sampled_from(["large", "outlines", "plotly"]))
+@pytest.mark.parametrize("name", ["large", "outlines", "plotly"])
 def test_a_name_does_not_take_an_id_of_the_page(name: str) -> None:
     blocks = [Plot(name, "{}"), Paragraph("text")]
     sections = [Section(name, "S", blocks)]

@@ -17,9 +17,8 @@ from benchmark.training.grasp.grasp_labels import (
     scene_labels,
     tolerances,
 )
-from benchmark.training.grasp.hits import any_inside
 from benchmark.training.grasp.tabletop import TableObject
-from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.geometry.se3 import SE3
 from tests.benchmark.training.grasp.true_friction import true_friction
 
 GRID = {"views": 60, "angles": 6, "depths": (0.01, 0.03)}
@@ -41,24 +40,6 @@ def test_points_lie_on_the_surface_evenly():
 
     anywhere, _ = trimesh.sample.sample_surface(BOX, 500, seed=3)
     assert cKDTree(points).query(anywhere)[0].max() < 1.5 * 0.012
-
-
-def test_compiled_search_is_the_one_of_clouds():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.1, 0.1, (300, 3))
-    rotations = np.stack([so3_exp(rng.normal(size=3)) for _ in range(200)])
-    grasps = Grasps.make(
-        rotations,
-        rng.uniform(-0.15, 0.15, (200, 3)),
-        widths=rng.uniform(0.01, 0.08, 200),
-        depths=rng.choice([0.01, 0.04], 200),
-    )
-    expected = Cloud(points).hit_by(grasps, PANDA, margin=0.002)
-    boxes = PANDA.boxes(grasps.widths, grasps.depths)
-    found = any_inside(points, grasps.rotations, grasps.translations, boxes, margin=0.002)
-    assert 20 < expected.sum() < 180
-    assert np.array_equal(found, expected)
-    assert not any_inside(points[:0], rotations, grasps.translations, boxes, margin=0.0).any()
 
 
 def test_labels_are_what_single_grasps_are_found_to_be(labels):
