@@ -20,7 +20,7 @@ from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks import volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photo_polish import fit_photos
-from std_toolkit.scanning.polish import fit_outlines
+from std_toolkit.scanning.polish import averaging, fit_outlines
 from std_toolkit.scanning.posed_photos import PosedPhotos
 from std_toolkit.scanning.sensor_depth import LARGEST_DEVIATION, depth_factor, sensor_maps
 from std_toolkit.scanning.stages import Stages
@@ -166,10 +166,14 @@ def fused_surface(
         hull = _hull(views, grid, floors, threads)
     fused = _fused(views, layers, hull, grid, threads)
     vertices, faces = closed_mesh(fused.field, grid, options.faces)
+    average = averaging(faces, len(vertices))
     vertices = fit_outlines(
-        vertices, faces, views, _at(fused.support, grid, vertices), floors=floors, threads=threads
+        vertices, faces, views, _at(fused.support, grid, vertices), average=average,
+        floors=floors, threads=threads,
+    )  # fmt: skip
+    vertices, matched = fit_photos(
+        vertices, faces, views, reach=grid.step, average=average, floors=floors
     )
-    vertices, matched = fit_photos(vertices, faces, views, reach=grid.step)
     facts["placed by photos"] = f"{100 * matched:.0f} % of the vertices"
     if not on_table:
         vertices, flattened = flatten_unseen(vertices, faces, views)

@@ -15,7 +15,7 @@ from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.scanning.bake import Texture
 from std_toolkit.scanning.hull import hull_field, surface_of
 from std_toolkit.scanning.masks import volume_of_masks
-from std_toolkit.scanning.polish import fit_outlines
+from std_toolkit.scanning.polish import averaging, fit_outlines
 from std_toolkit.scanning.surface import closed_mesh, is_closed
 from std_toolkit.scanning.views import Grid
 from std_toolkit.scanning.write_model import write_model
@@ -53,7 +53,8 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
     away = np.linalg.norm(grid.points(index.reshape(-1, 3)) - CENTRE, axis=1)
     field = (away - (RADIUS - 0.0015)).reshape(grid.shape).astype(np.float32)
     vertices, faces = closed_mesh(field, grid, 2000)
-    fitted = fit_outlines(vertices, faces, views, np.zeros(len(vertices)))
+    average = averaging(faces, len(vertices))
+    fitted = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), average=average)
     side = np.abs(vertices[:, 2] - CENTRE[2]) < 0.02
 
     def off(v: np.ndarray) -> float:
@@ -61,10 +62,12 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
 
     assert off(fitted) < 0.35 * off(vertices)
     assert is_closed(fitted, faces)
-    held = fit_outlines(vertices, faces, views, np.full(len(vertices), 99.0))
+    held = fit_outlines(vertices, faces, views, np.full(len(vertices), 99.0), average=average)
     assert off(held) > 0.8 * off(vertices)
     floor = SE3(np.eye(3), np.array([0, 0, 0.03]))
-    cut = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), floors=[floor])
+    cut = fit_outlines(
+        vertices, faces, views, np.zeros(len(vertices)), average=average, floors=[floor]
+    )
     assert cut[:, 2].min() == 0.03
 
 
