@@ -105,7 +105,7 @@ def consistent(
             maybe = dilated(inside, band) & ~hidden
             if never is not None:
                 # By chance the object has the colour of the table behind it: other photos decide.
-                maybe &= ~never[i] | eroded(inside, 4 * band)
+                maybe &= ~never[i] | eroded(inside, 1)
             sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
             if always is not None:
                 sure |= always[i] & inside & ~hidden

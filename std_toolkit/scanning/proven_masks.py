@@ -105,6 +105,8 @@ def segment_on_table(
         return view.with_mask(grab_cut(view.image, maybe, seen | core), view.hidden), seen
 
     found = in_threads(proven, range(len(views)), threads=threads)
+    # Print of the colour of the table: where most photos show the object, colour decides.
+    never = [n & ~eroded(covered(v, hull), 1) for n, v in zip(never, views, strict=True)]
     done = consistent(
         [view for view, _ in found], never=never, always=[seen for _, seen in found],
         threads=threads,
