@@ -149,8 +149,8 @@ def fuse(
         parts = np.array_split(np.arange(grid.shape[0]), min(grid.shape[0], 4 * threads))
         in_threads(
             lambda part: _integrate(
-                T, K, corner, depth, normal, weight, disputed, np.array(grid.origin), grid.step, band,
-                int(part[0]), int(part[-1]) + 1, total, support,
+                T, K, corner, depth, normal, weight, disputed, np.array(grid.origin), grid.step,
+                band, int(part[0]), int(part[-1]) + 1, total, support,
             ),
             parts,
             threads=threads,

@@ -43,7 +43,7 @@ def test_no_vertex_is_moved_below_a_table() -> None:
     start = CENTRE + (RADIUS - 0.0007) / RADIUS * np.asarray(ball.vertices)
     faces = np.asarray(ball.faces)
     # A table whose upper side faces down, through the upper part of the ball.
-    table = SE3(np.diag([1.0, -1.0, -1.0]), CENTRE + [0, 0, 0.8 * RADIUS])
+    table = SE3(np.diag([1.0, -1.0, -1.0]), CENTRE + np.array([0, 0, 0.8 * RADIUS]))
     below = start[:, 2] < table.t[2]
     average = averaging(faces, len(start))
     views = ball_views(camera=SHARP)

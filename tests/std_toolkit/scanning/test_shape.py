@@ -6,17 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.bake import Texture
+from std_toolkit.scanning.depth_maps import DepthMap, hull_depth
 from std_toolkit.scanning.hull import hull_field, surface_of
 from std_toolkit.scanning.masks import volume_of_masks
 from std_toolkit.scanning.polish import averaging, fit_outlines
-from std_toolkit.scanning.surface import closed_mesh, is_closed
+from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse, is_closed
 from std_toolkit.scanning.views import Grid
 from std_toolkit.scanning.write_model import write_model
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views
@@ -69,6 +72,38 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
         vertices, faces, views, np.zeros(len(vertices)), average=average, floors=[floor]
     )
     assert cut[:, 2].min() == 0.03
+
+
+def test_depth_maps_outvote_the_masks_of_few_photos() -> None:
+    """Three masks lack what is right of the middle; depth maps of all photos show it."""
+    views = ball_views(24)
+    for n in (2, 3, 4):
+        cut = views[n].shown.copy()
+        cut[:, 88:] = False
+        views[n] = views[n].with_mask(cut)
+    grid = Grid.around(CENTRE - RADIUS, CENTRE + RADIUS, 0.002)
+    hull, disputed = hull_field(views, grid), hull_field(views, grid, allowed=3)
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    caster = RayCaster(ball.vertices, ball.faces, threads=1)
+    maps: list[DepthMap | None] = []
+    for view in views:
+        depth, normal = hull_depth(view, caster, CENTRE, (0, 0, *view.camera.size))
+        maps.append(DepthMap(0, 0, depth, normal, np.zeros_like(depth), np.full_like(depth, 20)))
+    seen = agreeing(views, [maps], CENTRE)
+    unseen = [np.zeros_like(w) for w in seen]
+
+    def lacking(weights: list[np.ndarray], larger: np.ndarray) -> float:
+        """Largest distance from points of the ball to the fused surface."""
+        fused = fuse(views, maps, weights, hull, larger, grid)
+        side = np.abs(ball.vertices[:, 2]) < 0.5 * RADIUS
+        return float(
+            RayCaster(*surface_of(fused.field, grid)).distance(CENTRE + ball.vertices[side]).max()
+        )
+
+    assert lacking(seen, disputed) < 0.002
+    assert lacking(seen, hull) > 0.005
+    # Without depth, the outlines hold.
+    assert lacking(unseen, disputed) > 0.005
 
 
 def test_the_files_hold_the_same_mesh_and_texture(tmp_path: Path) -> None:
