@@ -32,8 +32,9 @@ from std_toolkit.scene.document import digest_of
 
 # Depth below the hull that is searched, as a share of the longest side.
 _DEEPEST = 0.3
-# Share of the photos whose masks may lack a place that depth maps show, and that of the others.
-_DISPUTED, _LACKING = 10, 40
+# Photos, of so many, whose masks may lack any place; and those whose masks may lack a place that
+# depth maps show: of so many beyond the first. Of few photos, each carves what no other does.
+_LACKING, _DISPUTED, _FEW = 40, 6, 24
 # Voxels of the surface of one side to which the other is registered, as a share of all.
 _COARSE = 0.6
 
@@ -224,8 +225,12 @@ def _hulls(
 
     Masks lack print of the colour of the table behind it. The depth maps decide in between.
     """
-    a, b = (_hull(views, grid, floors, len(views) // n, threads) for n in (_LACKING, _DISPUTED))
-    return a, np.minimum(a, b)
+    few = len(views) // _LACKING
+    many = max(few, (len(views) - _FEW) // _DISPUTED)
+    hull = _hull(views, grid, floors, few, threads)
+    if many == few:
+        return hull, hull
+    return hull, np.minimum(hull, _hull(views, grid, floors, many, threads))
 
 
 def _hull(

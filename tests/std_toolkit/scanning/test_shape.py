@@ -18,6 +18,7 @@ from std_toolkit.scanning.bake import Texture
 from std_toolkit.scanning.depth_maps import DepthMap, hull_depth
 from std_toolkit.scanning.hull import hull_field, surface_of
 from std_toolkit.scanning.masks import volume_of_masks
+from std_toolkit.scanning.measured_surface import _hulls
 from std_toolkit.scanning.polish import averaging, fit_outlines
 from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse, is_closed
 from std_toolkit.scanning.views import Grid
@@ -104,6 +105,23 @@ def test_depth_maps_outvote_the_masks_of_few_photos() -> None:
     assert lacking(seen, hull) > 0.005
     # Without depth, the outlines hold.
     assert lacking(unseen, disputed) > 0.005
+
+
+@pytest.mark.parametrize(("photos", "filled"), [(16, False), (48, True)])
+def test_only_many_photos_are_contradicted(photos: int, filled: bool) -> None:
+    """One mask lacks a half of the ball: of few photos each carves what no other does."""
+    views = ball_views(photos)
+    cut = views[3].shown.copy()
+    cut[:, 80:] = False
+    views = [*views[:3], views[3].with_mask(cut), *views[4:]]
+    if photos > 40:
+        views[5] = views[5].with_mask(cut)
+    grid = Grid.around(CENTRE - RADIUS, CENTRE + RADIUS, 0.004)
+    hull, disputed = _hulls(views, grid, [], 1)
+    ball = 4 / 3 * np.pi * RADIUS**3 / grid.step**3
+    assert (hull < 0).sum() < 0.8 * ball
+    assert ((disputed < 0).sum() > 0.95 * ball) == filled
+    assert (disputed <= hull).all()
 
 
 def test_the_files_hold_the_same_mesh_and_texture(tmp_path: Path) -> None:
