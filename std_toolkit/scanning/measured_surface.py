@@ -102,7 +102,8 @@ def measure_side(
         posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth,
         "depth 2",
     )  # fmt: skip
-    maps = _depth(engine, views, disputed, grid, longest, options.neighbours, stages, key, threads)
+    looked = views if disputed is hull else _with_disputed(views, disputed, grid, threads)
+    maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, stages, key, threads)
     sensor = _sensor(posed, views, hull, grid, threads)
     lap("depth maps")
     return Side(
@@ -270,10 +271,8 @@ def _depth(
     surface = surface_of(hull, grid)
 
     def make() -> dict[str, Any]:
-        caster = RayCaster(*surface, threads=1)
-        looked = in_threads(lambda v: _with_disputed(v, caster), views, threads=threads)
         maps = engine(
-            looked, surface, deepest=_DEEPEST * longest, neighbours=neighbours, threads=threads
+            views, surface, deepest=_DEEPEST * longest, neighbours=neighbours, threads=threads
         )
         out: dict[str, Any] = {}
         for i, m in enumerate(maps):
@@ -294,12 +293,19 @@ def _depth(
     ]  # fmt: skip
 
 
-def _with_disputed(view: View, hull: RayCaster) -> View:
-    """A photo whose mask has all of the hull that nothing hides."""
-    whole = covered(view, hull)
-    if view.hidden is not None:
-        whole &= ~view.hidden
-    return view.with_mask(view.shown | whole, view.hidden)
+def _with_disputed(
+    views: Sequence[View], hull: NDArray[np.float32], grid: Grid, threads: int
+) -> list[View]:
+    """Photos whose masks have all of a hull that nothing hides."""
+    caster = RayCaster(*surface_of(hull, grid), threads=1)
+
+    def one(view: View) -> View:
+        whole = covered(view, caster)
+        if view.hidden is not None:
+            whole &= ~view.hidden
+        return view.with_mask(view.shown | whole, view.hidden)
+
+    return in_threads(one, views, threads=threads)
 
 
 def _at(values: NDArray[np.float32], grid: Grid, points: Array) -> NDArray[np.float32]:
