@@ -228,6 +228,9 @@ def _hulls(
     """
     few = len(views) // _LACKING
     many = max(few, (len(views) - _FEW) // _DISPUTED)
+    if any(v.hidden is not None for v in views):
+        # Among other things, too, few photos show a side.
+        many = few
     hull = _hull(views, grid, floors, few, threads)
     if many == few:
         return hull, hull
