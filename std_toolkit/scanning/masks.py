@@ -79,6 +79,7 @@ def consistent(
     *,
     never: Sequence[Mask] | None = None,
     always: Sequence[Mask] | None = None,
+    overruled: int | None = None,
     rounds: int = 2,
     threads: int = 1,
 ) -> list[View]:
@@ -91,6 +92,8 @@ def consistent(
         views: photos with masks.
         never: pixels (H, W) of each photo that do not show the object.
         always: pixels (H, W) of each photo that show the object, if the hull covers them.
+        overruled: pixels from the outline of the hull inwards from where `never` does not count;
+            None for four times the width in which the outline is searched.
         rounds: number of repetitions.
         threads: number of threads.
     """
@@ -105,7 +108,7 @@ def consistent(
             maybe = dilated(inside, band) & ~hidden
             if never is not None:
                 # By chance the object has the colour of the table behind it: other photos decide.
-                maybe &= ~never[i] | eroded(inside, 4 * band)
+                maybe &= ~never[i] | eroded(inside, overruled or 4 * band)
             sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
             if always is not None:
                 sure |= always[i] & inside & ~hidden

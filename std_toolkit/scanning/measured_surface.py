@@ -15,22 +15,26 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.depth_maps import DepthEngine, DepthMap
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.masks import volume_of_masks
+from std_toolkit.scanning.masks import covered, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photo_polish import fit_photos
-from std_toolkit.scanning.polish import fit_outlines
+from std_toolkit.scanning.polish import averaging, fit_outlines
 from std_toolkit.scanning.posed_photos import PosedPhotos
 from std_toolkit.scanning.sensor_depth import LARGEST_DEVIATION, depth_factor, sensor_maps
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.underside import flatten_unseen
-from std_toolkit.scanning.views import Array, Grid, View
+from std_toolkit.scanning.views import Array, Grid, View, in_threads
 from std_toolkit.scene.document import digest_of
 
 # Depth below the hull that is searched, as a share of the longest side.
 _DEEPEST = 0.3
+# Photos, of so many, whose masks may lack any place; and those whose masks may lack a place that
+# depth maps show: of so many beyond the first. Of few photos, each carves what no other does.
+_LACKING, _DISPUTED, _FEW = 40, 6, 24
 # Voxels of the surface of one side to which the other is registered, as a share of all.
 _COARSE = 0.6
 
@@ -45,6 +49,7 @@ class Side:
         sensor: depth maps of a depth sensor, if there is one.
         grid: voxels around the object.
         hull: signed distance to the visual hull on them.
+        disputed: the same of a larger hull, which more masks may contradict.
         on_table: whether the table at z = 0 of this world bounds the object.
         digest: of the photos and all that the depth maps depend on.
     """
@@ -53,6 +58,7 @@ class Side:
     maps: list[DepthMap | None]
     grid: Grid
     hull: NDArray[np.float32]
+    disputed: NDArray[np.float32]
     on_table: bool
     digest: str
     sensor: list[DepthMap | None] = field(default_factory=list)
@@ -90,18 +96,21 @@ def measure_side(
     """Depth maps of the photos of one position."""
     grid, longest = _grid(views, options.voxels, posed.on_table)
     floors = [SE3.identity()] if posed.on_table else []
-    hull = _hull(views, grid, floors, threads)
+    hull, disputed = _hulls(views, grid, floors, threads)
     lap("hull")
     key = digest_of(
-        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth
-    )
-    maps = _depth(engine, views, hull, grid, longest, options.neighbours, stages, key, threads)
+        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth,
+        "depth 2",
+    )  # fmt: skip
+    looked = views if disputed is hull else _with_disputed(views, disputed, grid, threads)
+    maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, stages, key, threads)
     sensor = _sensor(posed, views, hull, grid, threads)
     lap("depth maps")
     return Side(
         # The images of depth are large, and no longer needed.
         views=[replace(v, sensor=None) for v in views],
-        maps=maps, grid=grid, hull=hull, on_table=posed.on_table, digest=key, sensor=sensor,
+        maps=maps, grid=grid, hull=hull, disputed=disputed, on_table=posed.on_table, digest=key,
+        sensor=sensor,
     )  # fmt: skip
 
 
@@ -134,8 +143,8 @@ def _sensor(
 def side_surface(side: Side, voxels: int, threads: int) -> Surface:
     """Coarse surface of one side in its own world, to register the other to."""
     grid, _ = _grid(side.views, max(40, round(_COARSE * voxels)), side.on_table)
-    hull = _hull(side.views, grid, [SE3.identity()] if side.on_table else [], threads)
-    fused = _fused(side.views, side.layers, hull, grid, threads)
+    hulls = _hulls(side.views, grid, [SE3.identity()] if side.on_table else [], threads)
+    fused = _fused(side.views, side.layers, hulls, grid, threads)
     vertices, faces = closed_mesh(fused.field, grid, 8000)
     support = _at(fused.support, grid, vertices[faces].mean(axis=1))
     return Surface(vertices=vertices, faces=faces, support=support)
@@ -160,16 +169,20 @@ def fused_surface(
     on_table = sides[0][0].on_table
     floors = [T for side, T in sides if side.on_table]
     if len(sides) == 1:
-        grid, hull = sides[0][0].grid, sides[0][0].hull
+        grid, hulls = sides[0][0].grid, (sides[0][0].hull, sides[0][0].disputed)
     else:
         grid, _ = _grid(views, options.voxels, on_table)
-        hull = _hull(views, grid, floors, threads)
-    fused = _fused(views, layers, hull, grid, threads)
+        hulls = _hulls(views, grid, floors, threads)
+    fused = _fused(views, layers, hulls, grid, threads)
     vertices, faces = closed_mesh(fused.field, grid, options.faces)
+    average = averaging(faces, len(vertices))
     vertices = fit_outlines(
-        vertices, faces, views, _at(fused.support, grid, vertices), floors=floors, threads=threads
+        vertices, faces, views, _at(fused.support, grid, vertices), average=average,
+        floors=floors, threads=threads,
+    )  # fmt: skip
+    vertices, matched = fit_photos(
+        vertices, faces, views, reach=grid.step, average=average, floors=floors
     )
-    vertices, matched = fit_photos(vertices, faces, views, reach=grid.step)
     facts["placed by photos"] = f"{100 * matched:.0f} % of the vertices"
     if not on_table:
         vertices, flattened = flatten_unseen(vertices, faces, views)
@@ -182,14 +195,14 @@ def fused_surface(
 def _fused(
     views: Sequence[View],
     layers: Sequence[Sequence[DepthMap | None]],
-    hull: NDArray[np.float32],
+    hulls: tuple[NDArray[np.float32], NDArray[np.float32]],
     grid: Grid,
     threads: int,
 ) -> Fusion:
     middle = np.asarray(grid.origin) + np.array(grid.shape[::-1]) * grid.step / 2
     weights = agreeing(views, layers, middle, threads=threads)
     maps = [m for of_layer in layers for m in of_layer]
-    return fuse([*views] * len(layers), maps, weights, hull, grid, threads=threads)
+    return fuse([*views] * len(layers), maps, weights, *hulls, grid, threads=threads)
 
 
 def _grid(views: Sequence[View], voxels: int, on_table: bool) -> tuple[Grid, float]:
@@ -206,11 +219,29 @@ def _mask_digest(views: Sequence[View]) -> str:
                      [int(v.shown.sum()) for v in views])  # fmt: skip
 
 
-def _hull(
+def _hulls(
     views: Sequence[View], grid: Grid, floors: Sequence[SE3], threads: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The hull, and a larger one that more masks may contradict.
+
+    Masks lack print of the colour of the table behind it. The depth maps decide in between.
+    """
+    few = len(views) // _LACKING
+    many = max(few, (len(views) - _FEW) // _DISPUTED)
+    if any(v.hidden is not None for v in views):
+        # Among other things, too, few photos show a side.
+        many = few
+    hull = _hull(views, grid, floors, few, threads)
+    if many == few:
+        return hull, hull
+    return hull, np.minimum(hull, _hull(views, grid, floors, many, threads))
+
+
+def _hull(
+    views: Sequence[View], grid: Grid, floors: Sequence[SE3], allowed: int, threads: int
 ) -> NDArray[np.float32]:
     """Signed distance to the hull above all tables, each the plane z = 0 of a moved world."""
-    field = hull_field(views, grid, allowed=len(views) // 40, threads=threads)
+    field = hull_field(views, grid, allowed=allowed, threads=threads)
     axes = [
         o + np.arange(n) * grid.step for o, n in zip(grid.origin, grid.shape[::-1], strict=True)
     ]
@@ -263,6 +294,21 @@ def _depth(
         if f"at{i}" in a else None
         for i in range(len(views))
     ]  # fmt: skip
+
+
+def _with_disputed(
+    views: Sequence[View], hull: NDArray[np.float32], grid: Grid, threads: int
+) -> list[View]:
+    """Photos whose masks have all of a hull that nothing hides."""
+    caster = RayCaster(*surface_of(hull, grid), threads=1)
+
+    def one(view: View) -> View:
+        whole = covered(view, caster)
+        if view.hidden is not None:
+            whole &= ~view.hidden
+        return view.with_mask(view.shown | whole, view.hidden)
+
+    return in_threads(one, views, threads=threads)
 
 
 def _at(values: NDArray[np.float32], grid: Grid, points: Array) -> NDArray[np.float32]:

@@ -25,6 +25,8 @@ _MANY, _NONE = 15, 3
 _LEAST_PAIRS, _SHARE_NONE = 4, 0.5
 # Photos whose directions differ in height by more than this share fewer features.
 _LEVEL_DEG = 8.0
+# Overlap, from above, of the boxes around the features of an object that stayed in its place.
+_SAME_PLACE = 0.5
 # Features of one object lie in a box with this margin.
 _MARGIN_M = 0.005
 # Corners of tags in one photo, and photos, that show the board through the object.
@@ -96,6 +98,10 @@ def check_rest(
             - _mean(count[within[level[within] == kind]] <= _NONE)
             for kind in np.unique(level[across])
         )
+        # Between a low and a high round, no pair tells how much photos of an object at rest share:
+        # a low box shows them little but its sides, or its top. If it moved, it stands elsewhere.
+        if not (level[across].any() or (~level[within]).any()) and _overlap(*boxes) > _SAME_PLACE:
+            continue
         if share >= most and (found is None or share > most):
             found, most = k, share
     if found is not None:
@@ -111,6 +117,13 @@ def _box(points: Sequence[Array]) -> tuple[Array, Array]:
     together = np.concatenate(points)
     low, high = np.percentile(together, 2, axis=0), np.percentile(together, 98, axis=0)
     return low - _MARGIN_M, high + _MARGIN_M
+
+
+def _overlap(a: tuple[Array, Array], b: tuple[Array, Array]) -> float:
+    """Share of the joined area of two boxes, seen from above, that both have."""
+    sides = np.minimum(a[1], b[1])[:2] - np.maximum(a[0], b[0])[:2]
+    both = float(np.maximum(sides, 0).prod())
+    return both / float(np.prod(a[1][:2] - a[0][:2]) + np.prod(b[1][:2] - b[0][:2]) - both)
 
 
 def _mean(values: NDArray[np.bool_]) -> float:

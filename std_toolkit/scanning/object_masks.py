@@ -42,7 +42,7 @@ def object_masks(
     own = _own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 10")
+    key = digest_of(posed.digest, options.pick, options.box, "masks 11")
 
     def make() -> dict[str, Any]:
         if not posed.on_table:

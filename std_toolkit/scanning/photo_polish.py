@@ -8,14 +8,16 @@ Furukawa and Ponce, PAMI 2010), if this place is distinct.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.compiled import compiled
+from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.bake import depth_of, seen_from, vertex_normals
-from std_toolkit.scanning.polish import averaging
+from std_toolkit.scanning.polish import above_floors
 from std_toolkit.scanning.views import Array, View
 
 # Displacements to either side of a vertex.
@@ -39,6 +41,8 @@ def fit_photos(
     views: Sequence[View],
     *,
     reach: float,
+    average: Any,
+    floors: Sequence[SE3] = (),
     rounds: int = 2,
 ) -> tuple[Array, float]:
     """Vertices (V, 3) moved to where photos agree, and the share of them that
@@ -50,9 +54,10 @@ def fit_photos(
         views: photos with masks.
         reach: how far a vertex is searched to either side of its place, metres; half as far in
             each next round.
+        average: of `averaging`.
+        floors: motions whose z = 0 is a table, below which no vertex is moved.
         rounds: number of repetitions.
     """
-    average = averaging(faces, len(vertices))
     images = np.stack([v.grey() for v in views])
     P = np.stack([v.P for v in views])
     share = 0.0
@@ -68,7 +73,8 @@ def fit_photos(
             move, weight = average @ (move * weight), average @ weight
             move = move / np.maximum(weight, 1e-9)
         # Where no neighbour was measured nothing moves.
-        vertices = vertices + (move * np.minimum(weight / 0.1, 1))[:, None] * normals
+        move = move * np.minimum(weight / 0.1, 1)
+        vertices = above_floors(vertices + move[:, None] * normals, floors)
     return vertices, share
 
 

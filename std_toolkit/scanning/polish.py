@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ def fit_outlines(
     views: Sequence[View],
     support: NDArray[np.floating],
     *,
+    average: Any,
     floors: Sequence[SE3] = (),
     rounds: int = 3,
     threads: int = 1,
@@ -40,13 +42,13 @@ def fit_outlines(
         faces: (F, 3) of a closed mesh.
         views: photos with masks.
         support: (V,) weight of the depth measurements of each vertex; they hold it in its place.
+        average: of `averaging`.
         floors: motions whose z = 0 is a table, below which no vertex is moved.
         rounds: number of repetitions.
         threads: number of threads.
     """
     wanted = [outline_distance(v.possible) / 32.0 for v in views]
     borders = [_known(v) for v in views]
-    average = averaging(faces, len(vertices))
     for _ in range(rounds):
         caster = RayCaster(vertices, faces, threads=1)
         normals = vertex_normals(vertices, faces)
@@ -64,10 +66,15 @@ def fit_outlines(
             total, weight = average @ total, average @ weight
         # An outline is a measurement of its photo, as depth is: both count by their weights.
         move = 0.8 * total / np.maximum(weight + support, 0.05)
-        vertices = vertices + move[:, None] * normals
-        for T in floors:
-            up = T.R[:, 2]
-            vertices = vertices - np.minimum((vertices - T.t) @ up, 0)[:, None] * up
+        vertices = above_floors(vertices + move[:, None] * normals, floors)
+    return vertices
+
+
+def above_floors(vertices: Array, floors: Sequence[SE3]) -> Array:
+    """Vertices (V, 3), those below the plane z = 0 of a moved world lifted to it."""
+    for T in floors:
+        up = T.R[:, 2]
+        vertices = vertices - np.minimum((vertices - T.t) @ up, 0)[:, None] * up
     return vertices
 
 

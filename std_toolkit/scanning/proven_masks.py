@@ -105,9 +105,13 @@ def segment_on_table(
         return view.with_mask(grab_cut(view.image, maybe, seen | core), view.hidden), seen
 
     found = in_threads(proven, range(len(views)), threads=threads)
+    if not others:
+        # Print of the colour of the table: where most photos show the object, colour decides. Among
+        # other things few photos show a side, and its outlines are needed as they are.
+        never = [n & ~eroded(covered(v, hull), 1) for n, v in zip(never, views, strict=True)]
     done = consistent(
         [view for view, _ in found], never=never, always=[seen for _, seen in found],
-        threads=threads,
+        overruled=None if others else 1, threads=threads,
     )  # fmt: skip
     return with_hidden(done, never, threads=threads) if others else done
 

@@ -23,6 +23,8 @@ from std_toolkit.scanning.views import Array, Grid, View, in_threads
 _LARGEST_COST = 0.45
 # Two depth maps agree within this fraction of the depth.
 _AGREEMENT = 0.006
+# Weight of depth measurements from which they outvote the outlines of few photos.
+_SUPPORTED = 2.0
 # Weight of the hull against one depth measurement of weight 1.
 _HULL_WEIGHT = 0.15
 
@@ -107,6 +109,7 @@ def fuse(
     maps: Sequence[DepthMap | None],
     weights: Sequence[NDArray[np.float32]],
     hull: NDArray[np.float32],
+    disputed: NDArray[np.float32],
     grid: Grid,
     *,
     threads: int = 1,
@@ -117,7 +120,8 @@ def fuse(
         views: photos.
         maps: their depth maps.
         weights: of `agreeing`.
-        hull: of `hull_field`.
+        hull: of `hull_field`; it bounds the surface where depth maps do not support it.
+        disputed: the same of a hull that contains it, which bounds the supported surface.
         grid: the voxels.
         threads: number of threads.
     """
@@ -145,8 +149,8 @@ def fuse(
         parts = np.array_split(np.arange(grid.shape[0]), min(grid.shape[0], 4 * threads))
         in_threads(
             lambda part: _integrate(
-                T, K, corner, depth, normal, weight, hull, np.array(grid.origin), grid.step, band,
-                int(part[0]), int(part[-1]) + 1, total, support,
+                T, K, corner, depth, normal, weight, disputed, np.array(grid.origin), grid.step,
+                band, int(part[0]), int(part[-1]) + 1, total, support,
             ),
             parts,
             threads=threads,
@@ -155,7 +159,9 @@ def fuse(
     # Smoothed with its weight: noise of single maps goes, edges of two voxels stay.
     for_total = gaussian_filter(total + _HULL_WEIGHT * prior, 0.8)
     for_weight = gaussian_filter(support + np.float32(_HULL_WEIGHT), 0.8)
-    field = np.maximum(for_total / for_weight, prior)
+    trust = np.clip((for_weight - _HULL_WEIGHT) / _SUPPORTED, 0, 1)
+    bound = (1 - trust) * prior + trust * np.clip(disputed, -band, band)
+    field = np.maximum(for_total / for_weight, bound)
     return Fusion(field.astype(np.float32), support)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.scanning.views import Array, Mask, View
 
-_CELL_M = 0.0015
+_CELL_M = 0.001
 _MOST_CELLS = 250_000
 _MIN_PHOTOS = 4
 # Spreads of the table's own colour by which a photo may differ from it, and the limits of this
@@ -307,7 +307,8 @@ def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
     off, printed, beyond = _against(view, tables, index)
     known = np.isfinite(off)
     # Before tags, a plain object has one of their colours everywhere.
-    cells = np.ones((5, 5), np.uint8)
+    side = _seen_px(view, tables[0])
+    cells = np.ones((side, side), np.uint8)
     shown = (cv2.dilate(view.image, cells) - cv2.erode(view.image, cells)).max(axis=-1)
     clear = known & (off < 1) & ((printed < _PRINT) | (shown > _PRINT_SHOWN * printed))
     clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
@@ -340,6 +341,31 @@ def _against(
     return off, printed, ~met & ~np.isfinite(off)
 
 
+def _pixel_m(view: View) -> float:
+    """Metres of the table in a pixel of a photo, across the ray, where it looks at the table."""
+    c = view.camera
+    u, v = np.meshgrid(np.arange(0, c.width, 8), np.arange(0, c.height, 8))
+    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
+    rays = local @ view.T_world_cam.R.T
+    steep = -rays[..., 2] / np.linalg.norm(rays, axis=-1) > _FLATTEST
+    if not steep.any():
+        return 0.001
+    return float(np.median(-view.centre[2] / rays[..., 2][steep])) / c.fx
+
+
+def _cells_seen(view: View, table: TableModel) -> int:
+    """Cells along a side of the square whose colours a pixel may show."""
+    return 2 * max(1, round(1.2 * _pixel_m(view) / table.cell)) + 1
+
+
+def _seen_px(view: View, table: TableModel) -> int:
+    """Pixels along a side of this square in the photo, an odd number.
+
+    A smaller window of a sharp photo lies within a cell of a tag and shows no contrast.
+    """
+    return 2 * max(2, round(_cells_seen(view, table) * table.cell / _pixel_m(view) / 2)) + 1
+
+
 def _deviation(
     view: View, table: TableModel, index: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
@@ -356,8 +382,7 @@ def _deviation(
     steep = -rays[..., 2] / np.linalg.norm(rays, axis=-1) > _FLATTEST
     color = (table.color * table.gains[index]).astype(np.float32)
     # A pixel may show any colour within about a pixel of its place on the table.
-    pixel = float(np.median(t[np.isfinite(t) & (t > 0) & steep])) / c.fx if steep.any() else 0.001
-    n = 2 * max(1, round(1.2 * pixel / table.cell)) + 1
+    n = _cells_seen(view, table)
     kernel = np.ones((n, n), np.uint8)
     x, y = cell[..., 0], cell[..., 1]
     hidden = ~table.known[..., None]

@@ -63,6 +63,30 @@ def test_photos_from_two_heights_that_share_nothing_are_no_move() -> None:
     check_rest(pairs, uv, poses, CAMERA, [f"{i}.jpg" for i in poses], reach=REACH)
 
 
+@pytest.mark.parametrize("moved", [False, True])
+def test_rounds_that_share_nothing_are_a_move_only_if_it_stands_elsewhere(moved: bool) -> None:
+    """A low box: the low round shows its sides, the high one its top, and no photo both."""
+    rng = np.random.default_rng(0)
+    size = [0.03, 0.03, 0.04]
+    points = MIDDLE + rng.uniform(np.negative(size) * [1, 1, -0.4], size, (2, 40, 3))
+    points[1] += [0.05, 0.03, 0] if moved else 0
+    poses, uv, pairs = {}, {}, []
+    same, none = np.stack([np.arange(40)] * 2, axis=1), np.zeros((0, 2), np.int64)
+    for i in range(48):
+        a, e = 2 * np.pi * (i % 24) / 24, np.deg2rad((22, 50)[i // 24])
+        away = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+        poses[i] = look_at(MIDDLE + 0.5 * away, MIDDLE)
+        uv[i] = CAMERA.project(poses[i].inverse() @ points[i // 24])
+        pairs.append((i, i // 24 * 24 + (i + 1) % 24, same))
+        pairs.append((i % 24, i % 24 + 24, none))
+    names = [f"{i}.jpg" for i in poses]
+    if not moved:
+        check_rest(pairs, uv, poses, CAMERA, names, reach=REACH)
+        return
+    with pytest.raises(ToolkitError, match=r"moved on the board between 23\.jpg and 24\.jpg"):
+        check_rest(pairs, uv, poses, CAMERA, names, reach=REACH)
+
+
 @pytest.mark.parametrize("turn", [0.0, 1.5])
 def test_an_object_that_moved_is_named_with_the_photos(turn: float) -> None:
     R = so3_exp(np.array([0, 0, turn]))

@@ -18,8 +18,9 @@ from tests.std_toolkit.scanning.test_turned_over import OVER, photos, plain, sta
 
 def without_depth(views: list[View]) -> Side:
     grid = Grid((0.0, 0.0, 0.0), 0.01, (1, 1, 1))
+    hull = np.zeros(grid.shape, np.float32)
     return Side(
-        views=views, maps=[None] * len(views), grid=grid, hull=np.zeros(grid.shape, np.float32),
+        views=views, maps=[None] * len(views), grid=grid, hull=hull, disputed=hull,
         on_table=True, digest="",
     )  # fmt: skip
 

@@ -6,17 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.bake import Texture
+from std_toolkit.scanning.depth_maps import DepthMap, hull_depth
 from std_toolkit.scanning.hull import hull_field, surface_of
 from std_toolkit.scanning.masks import volume_of_masks
-from std_toolkit.scanning.polish import fit_outlines
-from std_toolkit.scanning.surface import closed_mesh, is_closed
+from std_toolkit.scanning.measured_surface import _hulls
+from std_toolkit.scanning.polish import averaging, fit_outlines
+from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse, is_closed
 from std_toolkit.scanning.views import Grid
 from std_toolkit.scanning.write_model import write_model
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views
@@ -53,7 +57,8 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
     away = np.linalg.norm(grid.points(index.reshape(-1, 3)) - CENTRE, axis=1)
     field = (away - (RADIUS - 0.0015)).reshape(grid.shape).astype(np.float32)
     vertices, faces = closed_mesh(field, grid, 2000)
-    fitted = fit_outlines(vertices, faces, views, np.zeros(len(vertices)))
+    average = averaging(faces, len(vertices))
+    fitted = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), average=average)
     side = np.abs(vertices[:, 2] - CENTRE[2]) < 0.02
 
     def off(v: np.ndarray) -> float:
@@ -61,11 +66,62 @@ def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
 
     assert off(fitted) < 0.35 * off(vertices)
     assert is_closed(fitted, faces)
-    held = fit_outlines(vertices, faces, views, np.full(len(vertices), 99.0))
+    held = fit_outlines(vertices, faces, views, np.full(len(vertices), 99.0), average=average)
     assert off(held) > 0.8 * off(vertices)
     floor = SE3(np.eye(3), np.array([0, 0, 0.03]))
-    cut = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), floors=[floor])
+    cut = fit_outlines(
+        vertices, faces, views, np.zeros(len(vertices)), average=average, floors=[floor]
+    )
     assert cut[:, 2].min() == 0.03
+
+
+def test_depth_maps_outvote_the_masks_of_few_photos() -> None:
+    """Three masks lack what is right of the middle; depth maps of all photos show it."""
+    views = ball_views(24)
+    for n in (2, 3, 4):
+        cut = views[n].shown.copy()
+        cut[:, 88:] = False
+        views[n] = views[n].with_mask(cut)
+    grid = Grid.around(CENTRE - RADIUS, CENTRE + RADIUS, 0.002)
+    hull, disputed = hull_field(views, grid), hull_field(views, grid, allowed=3)
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    caster = RayCaster(ball.vertices, ball.faces, threads=1)
+    maps: list[DepthMap | None] = []
+    for view in views:
+        depth, normal = hull_depth(view, caster, CENTRE, (0, 0, *view.camera.size))
+        maps.append(DepthMap(0, 0, depth, normal, np.zeros_like(depth), np.full_like(depth, 20)))
+    seen = agreeing(views, [maps], CENTRE)
+    unseen = [np.zeros_like(w) for w in seen]
+
+    def lacking(weights: list[np.ndarray], larger: np.ndarray) -> float:
+        """Largest distance from points of the ball to the fused surface."""
+        fused = fuse(views, maps, weights, hull, larger, grid)
+        side = np.abs(ball.vertices[:, 2]) < 0.5 * RADIUS
+        return float(
+            RayCaster(*surface_of(fused.field, grid)).distance(CENTRE + ball.vertices[side]).max()
+        )
+
+    assert lacking(seen, disputed) < 0.002
+    assert lacking(seen, hull) > 0.005
+    # Without depth, the outlines hold.
+    assert lacking(unseen, disputed) > 0.005
+
+
+@pytest.mark.parametrize(("photos", "filled"), [(16, False), (48, True)])
+def test_only_many_photos_are_contradicted(photos: int, filled: bool) -> None:
+    """One mask lacks a half of the ball: of few photos each carves what no other does."""
+    views = ball_views(photos)
+    cut = views[3].shown.copy()
+    cut[:, 80:] = False
+    views = [*views[:3], views[3].with_mask(cut), *views[4:]]
+    if photos > 40:
+        views[5] = views[5].with_mask(cut)
+    grid = Grid.around(CENTRE - RADIUS, CENTRE + RADIUS, 0.004)
+    hull, disputed = _hulls(views, grid, [], 1)
+    ball = 4 / 3 * np.pi * RADIUS**3 / grid.step**3
+    assert (hull < 0).sum() < 0.8 * ball
+    assert ((disputed < 0).sum() > 0.95 * ball) == filled
+    assert (disputed <= hull).all()
 
 
 def test_the_files_hold_the_same_mesh_and_texture(tmp_path: Path) -> None:

@@ -116,3 +116,24 @@ def test_print_of_the_table_is_clear_only_where_the_photo_shows_it() -> None:
     x, y = np.rint(uv[0]).astype(int)
     assert found.known[y, x]
     assert not found.clear[y, x]
+
+
+@pytest.mark.slow
+def test_squares_of_print_larger_than_pixels_are_clear() -> None:
+    """In a sharp photo a square of a tag is many pixels wide, and alike within."""
+    camera = Camera(120, 90, 900, 900, 59.5, 44.5)
+    views = []
+    for n in range(8):
+        a = 2 * np.pi * n / 8
+        eye = np.array([0.25 * np.cos(a), 0.25 * np.sin(a), 0.3])
+        T = look_at(eye, np.zeros(3))
+        rays = camera.rays() @ T.R.T
+        at = eye - eye[2] / rays[..., 2:] * rays
+        dark = (np.floor(at[..., :2] / 0.006).sum(axis=-1) % 2 == 0) & (np.abs(at[..., 0]) < 0.012)
+        image = np.where(dark[..., None], 30, TABLE).astype(np.uint8)
+        views.append(View(f"{n}.png", image, camera, T, dark))
+    table = model_table(views, np.array([-0.03, -0.03]), np.array([0.03, 0.03]), CORNERS / 4)
+    for i, view in enumerate(views):
+        found = compare(view, [table], i)
+        assert view.mask is not None
+        assert found.clear[view.mask & found.known].mean() > 0.8
