@@ -33,8 +33,13 @@ DINO_BOX = np.array([[-0.061897, -0.018874, -0.057845], [0.010897, 0.068227, 0.0
 _SAMPLES = 60_000
 
 
-def align(scan: np.ndarray, truth: Any, starts: int = 24) -> tuple[np.ndarray, float]:
-    """(4, 4) rigid motion of points (N, 3) onto a mesh, best of many turns, and the scale left."""
+def align(
+    scan: np.ndarray, truth: Any, start: np.ndarray | None = None, turns: int = 24
+) -> tuple[np.ndarray, float]:
+    """(4, 4) rigid motion of points (N, 3) onto a mesh, and the scale that is left.
+
+    It begins with `start` (4, 4), or is the best of many turns.
+    """
     from std_toolkit.geometry import umeyama
     from std_toolkit.geometry.ray_caster import RayCaster
 
@@ -44,8 +49,11 @@ def align(scan: np.ndarray, truth: Any, starts: int = 24) -> tuple[np.ndarray, f
     centre = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
     best, lowest = np.eye(4), np.inf
     flips = (np.eye(3), np.diag([1.0, -1.0, -1.0]))
-    for n in range(starts):
-        a = 2 * np.pi * (n // 2) / (starts // 2)
+    if start is not None:
+        best, turns = start.copy(), 0
+        best[:3, 3] -= middle
+    for n in range(turns):
+        a = 2 * np.pi * (n // 2) / (turns // 2)
         turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
         T = np.eye(4)
         T[:3, :3] = turn @ flips[n % 2]
@@ -109,14 +117,17 @@ def seen_points(vertices: Any, faces: Any, views: Any, to_world: np.ndarray) -> 
     return np.asarray(points[seen])
 
 
-def compare(scan: Any, truth: Any) -> dict[str, float]:
-    """Accuracy and completeness in millimetres, completeness at 2 mm and scale."""
+def compare(scan: Any, truth: Any, start: np.ndarray | None = None) -> dict[str, float]:
+    """Accuracy and completeness in millimetres, completeness at 2 mm and scale.
+
+    The alignment begins with `start`, as of `align`.
+    """
     import trimesh
 
     from std_toolkit.geometry.ray_caster import RayCaster
 
     points = seen_points(scan.vertices, scan.faces, scan.views, np.eye(4))
-    T, scale = align(points, truth)
+    T, scale = align(points, truth, start)
     moved = points @ T[:3, :3].T + T[:3, 3]
     accuracy = RayCaster(truth.vertices, truth.faces).distance(moved)
     back = np.linalg.inv(T)
@@ -149,7 +160,19 @@ def _bare(vertices: Any, faces: Any) -> Any:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def measured(name: str, options: Any, truth: Any) -> Any:
+def by_cameras(scan: Any, folder: Path) -> np.ndarray:
+    """(4, 4) T_obj_scan from the true cameras of a turntable: a cup would fit on its rim, too."""
+    from sensors.simulation.turntable import read_turntable_truth
+    from std_toolkit.geometry import SE3
+
+    truth = read_turntable_truth(folder)
+    place = {name: n for n, name in enumerate(truth.photos)}
+    view = next(v for v in scan.views if v.name in place)
+    T_obj_cam = SE3.from_matrix(truth.T_world_obj).inverse() @ truth.pose(place[view.name])
+    return (T_obj_cam @ view.T_world_cam.inverse()).matrix()
+
+
+def measured(name: str, options: Any, truth: Any, folder: Path | None = None) -> Any:
     from std_toolkit.scanning.scan_step import scan
 
     began, cpu = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_utime
@@ -157,7 +180,8 @@ def measured(name: str, options: Any, truth: Any) -> Any:
     wall = time.perf_counter() - began
     cpu = resource.getrusage(resource.RUSAGE_SELF).ru_utime - cpu
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    row = {} if truth is None else compare(done, truth)
+    start = by_cameras(done, folder) if folder else None
+    row = {} if truth is None else compare(done, truth, start)
     row |= {"wall s": wall, "CPU s": cpu, "GiB": memory}
     shown = "  ".join(f"{k} {v:.2f}" for k, v in row.items())
     print(f"{name:24} {shown}", flush=True)
@@ -220,11 +244,11 @@ def turntable(what: str, work: Path, *, sensor: bool) -> None:
         out=work / name,
         board=folder / "board.json",
     )
-    done = measured(name, options, load_mesh(truth))
+    done = measured(name, options, load_mesh(truth), folder)
     if sensor:
         scene = write_rgbd(folder, work / f"{name}-scene")
         with_depth = replace(options, photos=scene, flipped=None, out=work / f"{name}-rgbd")
-        found = measured(f"{name}, with sensor", with_depth, load_mesh(truth))
+        found = measured(f"{name}, with sensor", with_depth, load_mesh(truth), folder)
         print(f"{'':24} {found.facts.get('sensor depth')}; on the object "
               f"{found.facts.get('sensor depth on the object')}")  # fmt: skip
     for key, value in done.facts.items():
