@@ -299,16 +299,11 @@ def _depth(
 def _with_disputed(
     views: Sequence[View], hull: NDArray[np.float32], grid: Grid, threads: int
 ) -> list[View]:
-    """Photos whose masks have all of a hull that nothing hides."""
+    """Photos, in which nothing hides the object, whose masks have all of a hull."""
     caster = RayCaster(*surface_of(hull, grid), threads=1)
-
-    def one(view: View) -> View:
-        whole = covered(view, caster)
-        if view.hidden is not None:
-            whole &= ~view.hidden
-        return view.with_mask(view.shown | whole, view.hidden)
-
-    return in_threads(one, views, threads=threads)
+    return in_threads(
+        lambda view: view.with_mask(view.shown | covered(view, caster)), views, threads=threads
+    )
 
 
 def _at(values: NDArray[np.float32], grid: Grid, points: Array) -> NDArray[np.float32]:

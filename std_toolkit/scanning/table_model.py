@@ -307,7 +307,7 @@ def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
     off, printed, beyond = _against(view, tables, index)
     known = np.isfinite(off)
     # Before tags, a plain object has one of their colours everywhere.
-    side = _seen_px(view, tables[0])
+    _, side = _seen(view, tables[0])
     cells = np.ones((side, side), np.uint8)
     shown = (cv2.dilate(view.image, cells) - cv2.erode(view.image, cells)).max(axis=-1)
     clear = known & (off < 1) & ((printed < _PRINT) | (shown > _PRINT_SHOWN * printed))
@@ -353,17 +353,15 @@ def _pixel_m(view: View) -> float:
     return float(np.median(-view.centre[2] / rays[..., 2][steep])) / c.fx
 
 
-def _cells_seen(view: View, table: TableModel) -> int:
-    """Cells along a side of the square whose colours a pixel may show."""
-    return 2 * max(1, round(1.2 * _pixel_m(view) / table.cell)) + 1
+def _seen(view: View, table: TableModel) -> tuple[int, int]:
+    """Sides of the square whose colours a pixel may show: in cells, and in pixels of the photo.
 
-
-def _seen_px(view: View, table: TableModel) -> int:
-    """Pixels along a side of this square in the photo, an odd number.
-
-    A smaller window of a sharp photo lies within a cell of a tag and shows no contrast.
+    Both are odd. A smaller window of a sharp photo lies within a cell of a tag and shows no
+    contrast.
     """
-    return 2 * max(2, round(_cells_seen(view, table) * table.cell / _pixel_m(view) / 2)) + 1
+    pixel = _pixel_m(view)
+    cells = 2 * max(1, round(1.2 * pixel / table.cell)) + 1
+    return cells, 2 * max(2, round(cells * table.cell / pixel / 2)) + 1
 
 
 def _deviation(
@@ -382,7 +380,7 @@ def _deviation(
     steep = -rays[..., 2] / np.linalg.norm(rays, axis=-1) > _FLATTEST
     color = (table.color * table.gains[index]).astype(np.float32)
     # A pixel may show any colour within about a pixel of its place on the table.
-    n = _cells_seen(view, table)
+    n, _ = _seen(view, table)
     kernel = np.ones((n, n), np.uint8)
     x, y = cell[..., 0], cell[..., 1]
     hidden = ~table.known[..., None]
