@@ -82,7 +82,8 @@ def main() -> None:
     truth = read_truth(recording)
     meshes = {item.name: scanned_mesh(item, recording, work, args) for item in truth.objects}
     for command in pipeline(truth, recording, scene, write_annotations(truth, recording), meshes):
-        if curate(command):
+        # Labels that the checks of `run` reject are compared, too.
+        if curate(command) and not command.startswith("run "):
             raise SystemExit(f"std-curate {command} failed")
     both = [label_errors(Scene.open(s), recording) for s in (demo / "scene", scene)]
     print(f"{'object':<14}{'material':<13}{'true mesh':>10}{'scanned':>10}{'worse by':>10}  mm")
