@@ -7,9 +7,10 @@ import shlex
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
-from sensors.output.recording_writer import read_truth
+from sensors.output.recording_writer import Truth, read_truth
 from sensors.synthetic.recording import RecordingOptions, make_recording
 from sensors.synthetic.simulated import SimulatedOptions
 from sensors.synthetic.truth import label_errors, write_annotations
@@ -58,27 +59,16 @@ def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SI
     poses = write_annotations(truth, recording)
     _say("An annotator's first-frame poses (1 px, 1 degree off the truth) lie beside it.")
 
-    commands = []
-    if not (scene / "scene.json").exists():
-        commands.append(
-            f"import --color {recording}/color --depth {recording}/depth --depth-scale 0.001 "
-            f"--intrinsics {recording}/intrinsics.json --out {scene}"
-        )
-    for item in truth.objects:
-        symmetry = "axis:y" if item.symmetry.continuous else "none"
-        commands.append(
-            f"label {scene} --object {item.name} --mesh {recording}/{item.mesh} "
-            f"--category {item.category} --material {item.material} --symmetry {symmetry} "
-            f"--frame 0 --pose {poses[item.name]} --annotator demo"
-        )
-    # The quick sensor reads 1.5 % too far, which only objects of known size can correct. The
-    # simulated one is calibrated without error: its scale is better than an estimate from six
-    # small objects.
-    commands.append(f"run {scene} --refine-scale" if quick else f"run {scene}")
+    commands = pipeline(truth, recording, scene, poses)
+    if quick:
+        # The quick sensor reads 1.5 % too far, which only objects of known size can correct. The
+        # simulated one is calibrated without error: its scale is better than an estimate from six
+        # small objects.
+        commands[-1] += " --refine-scale"
     commands.append(f"export {scene} --format bop --out {out}/bop")
     commands.append(f"export {scene} --format std --out {out}/std")
     for command in commands:
-        status = _curate(command)
+        status = curate(command)
         if status:
             return status
 
@@ -89,6 +79,39 @@ def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SI
     print(f"BOP export: {out / 'bop'}")
     print(f"STD export: {out / 'std'}")
     return 0
+
+
+def pipeline(
+    truth: Truth,
+    recording: Path,
+    scene: Path,
+    poses: Mapping[str, Path],
+    meshes: Mapping[str, Path] | None = None,
+) -> list[str]:
+    """Arguments of std-curate from a recording to checked labels, one command each.
+
+    Args:
+        truth: of the recording.
+        recording: its folder.
+        scene: folder of the scene; an imported one is kept.
+        poses: first-frame pose of every object, of `write_annotations`.
+        meshes: mesh of every object in the frame of the recording's (default: the recording's).
+    """
+    commands = []
+    if not (scene / "scene.json").exists():
+        commands.append(
+            f"import --color {recording}/color --depth {recording}/depth --depth-scale 0.001 "
+            f"--intrinsics {recording}/intrinsics.json --out {scene}"
+        )
+    for item in truth.objects:
+        symmetry = "axis:y" if item.symmetry.continuous else "none"
+        mesh = recording / item.mesh if meshes is None else meshes[item.name]
+        commands.append(
+            f"label {scene} --object {item.name} --mesh {mesh} "
+            f"--category {item.category} --material {item.material} --symmetry {symmetry} "
+            f"--frame 0 --pose {poses[item.name]} --annotator demo"
+        )
+    return [*commands, f"run {scene}"]
 
 
 def why_no_simulator() -> str | None:
@@ -115,7 +138,8 @@ def _record_arguments(recording: Path, options: SimulatedOptions) -> str:
     )
 
 
-def _curate(arguments: str) -> int:
+def curate(arguments: str) -> int:
+    """Run one command of std-curate, and return its exit status."""
     print(f"\n$ std-curate {arguments}", flush=True)
     return _run("std_toolkit.cli.main", arguments)
 

@@ -29,6 +29,8 @@ _ABOVE_M = 0.004
 # Features of one object have a neighbour within this distance.
 _LINK_M = 0.02
 _MIN_POINTS = 20
+# Rim of a coarse hull that may not be the object, as a share of the depth where it is deepest.
+_RIM = 0.3
 # A picked pixel belongs to the features around it.
 _PICK_PX = 45.0
 
@@ -43,6 +45,8 @@ class Candidate:
         vertices, faces: surface of its coarse hull.
         outer: surface of all that may belong to it: also what is above the hull and stands before
             no known table in any photo. None for the hull with a margin.
+        inner: surface of its inner part, which certainly shows the object. None for the hull made
+            smaller about its middle.
     """
 
     low: Array
@@ -51,6 +55,7 @@ class Candidate:
     vertices: Array
     faces: NDArray[np.int64]
     outer: tuple[Array, NDArray[np.int64]] | None = None
+    inner: tuple[Array, NDArray[np.int64]] | None = None
 
 
 def find_candidates(
@@ -73,18 +78,26 @@ def find_candidates(
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
     grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
 
-    def with_the_table(blocked: Sequence[Mask] | None) -> list[Comparison]:
-        tables = model_tables(views, corners, blocked)
-        return in_threads(
-            lambda i: compare(views[i], tables, i), range(len(views)), threads=threads
-        )
-
-    different, possible = _not_carved(views, with_the_table(None), grid)
+    compared = compare_with_table(views, corners, threads=threads)
+    different, possible = _not_carved(views, compared, grid)
     # What stands on the table hides the cells below it from all photos. Their colour is its own,
     # which may pass for that of the table: look at the table once more without them.
-    compared = with_the_table(_silhouettes(views, possible & (different >= 3), grid))
+    blocked = _silhouettes(views, possible & (different >= 3), grid)
+    compared = compare_with_table(views, corners, blocked, threads=threads)
     different, possible = _not_carved(views, compared, grid)
     return _split(different, possible, grid, len(views)), compared
+
+
+def compare_with_table(
+    views: Sequence[View],
+    corners: Array,
+    blocked: Sequence[Mask] | None = None,
+    *,
+    threads: int,
+) -> list[Comparison]:
+    """The photos against the table on which they agree; arguments as of `model_tables`."""
+    tables = model_tables(views, corners, blocked)
+    return in_threads(lambda i: compare(views[i], tables, i), range(len(views)), threads=threads)
 
 
 def _silhouettes(views: Sequence[View], solid: Mask, grid: Grid) -> list[Mask]:
@@ -157,7 +170,7 @@ def _split(
         found.append(
             Candidate(
                 vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces,
-                _outer(labels == n, possible, grid),
+                _outer(labels == n, possible, grid), _inner(part, local),
             )
         )  # fmt: skip
     found.sort(key=lambda c: -c.volume)
@@ -175,6 +188,15 @@ def _outer(part: Mask, possible: Mask, grid: Grid) -> tuple[Array, NDArray[np.in
     labels, _ = ndimage.label(near | above)
     joined = np.isin(labels, np.unique(labels[part])) & (labels > 0)
     return surface_of(np.where(joined, -grid.step, grid.step).astype(np.float32), grid)
+
+
+def _inner(part: Mask, grid: Grid) -> tuple[Array, NDArray[np.int64]]:
+    """Surface of the voxels of a part that are deep in it, whatever its shape."""
+    # Below is the table, not the outline.
+    padded = np.pad(part, ((0, 1), (1, 1), (1, 1)))
+    depth = ndimage.distance_transform_edt(padded)[:-1, 1:-1, 1:-1]
+    limit = _RIM * float(depth.max())
+    return surface_of(((limit - depth) * grid.step).astype(np.float32), grid)
 
 
 def choose_candidate(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.scanning import candidates as standing
-from std_toolkit.scanning.masks import segment_by_border
+from std_toolkit.scanning.masks import dilated, segment_by_border
 from std_toolkit.scanning.object_checks import check_opaque
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.posed_photos import PosedPhotos
@@ -22,6 +22,9 @@ from std_toolkit.scanning.proven_masks import segment_on_table, well_within
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.views import View
 from std_toolkit.scene.document import digest_of
+
+# Width of the rim of a mask that may lack a part of the object.
+_RIM_PX = 3
 
 
 def object_masks(
@@ -42,7 +45,7 @@ def object_masks(
     own = _own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 11")
+    key = digest_of(posed.digest, options.pick, options.box, "masks 12")
 
     def make() -> dict[str, Any]:
         if not posed.on_table:
@@ -84,6 +87,12 @@ def _on_table(options: ScanOptions, posed: PosedPhotos, threads: int) -> list[Vi
             raise
     if not options.revolve:
         check_opaque(views, posed.found, *well_within(found[chosen]))
+    done = segment_on_table(views, found, chosen, compared, threads=threads)
+    if len(found) > 1:
+        return done
+    # Beside the coarse hull, which is too large, no table was known: look at it once more.
+    blocked = [dilated(v.shown, _RIM_PX) for v in done]
+    compared = standing.compare_with_table(views, posed.corners, blocked, threads=threads)
     return segment_on_table(views, found, chosen, compared, threads=threads)
 
 

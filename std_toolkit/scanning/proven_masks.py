@@ -118,6 +118,8 @@ def segment_on_table(
 
 def well_within(candidate: Candidate) -> tuple[Array, NDArray[np.int64]]:
     """The inner part of a candidate's coarse shape, which certainly belongs to the object."""
+    if candidate.inner is not None:
+        return candidate.inner
     middle = (candidate.low + candidate.high) / 2
     return middle + _INNER * (candidate.vertices - middle), candidate.faces
 

@@ -35,8 +35,9 @@ _LARGEST_SPREAD = 22.0
 # Share of the cells around the board that are at rest on a table, and are not around a turntable.
 _AT_REST = 0.6
 # Rings of cells by which the table is continued under the object, their width, the difference from
-# the colour beside them, and the share of the photos that must show it.
-_RINGS, _RING, _CONTINUED, _CONTINUED_SHARE = 16, 4, 20.0, 0.25
+# the colour beside them, the share of the photos that must show it, and their difference from each
+# other in parts of the usual spread.
+_RINGS, _RING, _CONTINUED, _CONTINUED_SHARE, _STEADY = 16, 4, 20.0, 0.25, 1.5
 # The continued table in parts of the brightness of the known one, and its deviation in hue.
 _DARKEST, _BRIGHTEST, _OTHER_HUE = 0.4, 1.15, 10.0
 # Share of the cells from which the board is compared instead of all of them.
@@ -128,12 +129,13 @@ def model_table(
     flat = points.reshape(-1, 3)
     samples = np.zeros((len(views), h * w, 3), np.uint8)
     seen = np.zeros((len(views), h * w), bool)
+    shown = np.zeros((len(views), h * w), bool)
     for i, view in enumerate(views):
         uv, z = view.project(flat)
         uv = np.where(np.isfinite(uv), uv, -10).astype(np.float32)
         inside = (uv > 0).all(axis=1) & (uv < np.array(view.camera.size) - 1).all(axis=1) & (z > 0)
         steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > _FLATTEST
-        seen[i] = inside & steep
+        seen[i] = shown[i] = inside & steep
         if blocked is not None:
             x, y = np.rint(uv[inside].T).astype(np.int64)
             seen[i, inside] &= ~blocked[i][y, x]
@@ -154,15 +156,29 @@ def model_table(
             use = seen[i] & (spread < _LARGEST_SPREAD) & (color.min(axis=1) > 20)
             use &= board
             if use.sum() > 500:
-                gains[i] = np.median(samples[i][use] / color[use], axis=0)
+                gains[i] = _gain(samples[i][use] / color[use])
     enough = (seen.sum(axis=0) >= _MIN_PHOTOS).reshape(h, w)
     known = enough & (spread < _LARGEST_SPREAD).reshape(h, w)
     usual = float(np.median(spread[known.ravel()])) if known.any() else _WIDEST
     colors = color.reshape(h, w, 3)
     known = _of_the_table(known, (corners[:, :2] - low) / cell)
-    _continue(colors, known, samples.reshape(-1, h, w, 3), seen.reshape(-1, h, w), gains)
+    _continue(colors, known, samples.reshape(-1, h, w, 3), shown.reshape(-1, h, w), gains, usual)
     width = float(np.clip(_WIDTHS * usual, _NARROWEST, _WIDEST))
     return TableModel(low, cell, colors, enough, known, gains, width)
+
+
+def _gain(ratios: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(3,) exposure of a photo from the ratios (N, 3) of its colours to those of the table.
+
+    An object may hide most of the board from a low camera: the ratios of a third of the cells that
+    differ least are those of the table.
+    """
+    grey = np.log(np.maximum(ratios.mean(axis=-1), 1e-3))
+    order = grey.argsort()
+    k = max(1, round(_AGREE_BESIDE * len(order)))
+    width = grey[order[k - 1 :]] - grey[order[: len(order) - k + 1]]
+    first = int(width.argmin())
+    return np.asarray(np.median(ratios[order[first : first + k]], axis=0), np.float32)
 
 
 def _of_the_table(known: Mask, corners: Array) -> Mask:
@@ -185,14 +201,16 @@ def _continue(
     color: NDArray[np.float32],
     known: Mask,
     samples: NDArray[np.uint8],
-    seen: Mask,
+    shown: Mask,
     gains: NDArray[np.float32],
+    usual: float,
 ) -> None:
     """Continue a table under the object in place, from known cells inwards.
 
     Beside an object, half of the photos show the object before the table, so the median is of no
     use there. The photos that show about the colour of the nearest known cells show the table; it
-    may get darker towards the object, but not of another hue.
+    may get darker towards the object, but not of another hue. Pixels that are blocked are used,
+    too: the outlines that block them may be too large.
     """
     origin = color.copy()
     for _ in range(_RINGS):
@@ -208,7 +226,7 @@ def _continue(
             for c in (color, origin)
         )
         value = samples[:, rows, columns].astype(np.float32) / gains[:, None]
-        there = seen[:, rows, columns]
+        there = shown[:, rows, columns]
         fits = there & (np.abs(value - expected).max(axis=-1) < _CONTINUED)
         gain = value.mean(axis=-1) / np.maximum(bare.mean(axis=-1), 1)
         hue = np.abs(value - gain[..., None] * bare).max(axis=-1)
@@ -218,7 +236,7 @@ def _continue(
         mean = (value * fits[..., None]).sum(axis=0) / np.maximum(count, 1)[:, None]
         off = np.abs(value - mean).max(axis=-1)
         spread = (off * fits).sum(axis=0) / np.maximum(count, 1)
-        enough &= spread < _CONTINUED / 2
+        enough &= spread < _STEADY * max(usual, 1.0)
         rows, columns = rows[enough], columns[enough]
         if len(rows) == 0:
             return
@@ -388,7 +406,9 @@ def _deviation(
     high = np.where(hidden, np.float32(-1e6), color)
     darkest = cv2.remap(cv2.erode(low, kernel), x, y, cv2.INTER_LINEAR)
     brightest = cv2.remap(cv2.dilate(high, kernel), x, y, cv2.INTER_LINEAR)
-    known = cv2.remap(table.known.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
+    # Between the cells of a tag photos differ by their blur, but neighbours bound the colours.
+    closed = cv2.morphologyEx(table.known.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
+    known = cv2.remap(closed, x, y, cv2.INTER_NEAREST) > 0
     met = steep & (x >= 0) & (y >= 0) & (x < color.shape[1]) & (y < color.shape[0])
     known &= met
     image = cv2.GaussianBlur(view.image, (0, 0), 0.7).astype(np.float32)

@@ -9,8 +9,9 @@ pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scanning.candidates import choose_candidate, find_candidates
+from std_toolkit.scanning.candidates import _inner, choose_candidate, find_candidates
 from std_toolkit.scanning.proven_masks import segment_on_table, without_islands
+from std_toolkit.scanning.views import Grid
 from tests.std_toolkit.scanning.test_table_model import CORNERS, HIGH, photos_of_a_box
 
 
@@ -27,6 +28,18 @@ def test_print_is_an_island_and_a_large_opening_is_not() -> None:
     assert found[~outline].all()
     nothing = np.zeros_like(clear)
     assert not without_islands(nothing, outline).any()
+
+
+def test_the_inner_part_of_a_bent_object_is_within_it() -> None:
+    """An angle made smaller about its middle would lie outside of it."""
+    part = np.zeros((10, 30, 30), bool)
+    part[:, :8] = part[:, :, :8] = True
+    grid = Grid((0.0, 0.0, 0.0), 0.01, part.shape)
+    vertices, faces = _inner(part, grid)
+    assert len(faces)
+    nearest = np.rint(vertices / 0.01).astype(int)[:, ::-1]
+    assert part[tuple(nearest.clip(0, np.array(part.shape) - 1).T)].all()
+    assert vertices[:, 2].min() < 0.01  # it stands on the table
 
 
 @pytest.mark.slow

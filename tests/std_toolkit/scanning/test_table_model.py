@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import Camera
-from std_toolkit.scanning.table_model import _agreed, compare, model_table
+from std_toolkit.scanning.masks import dilated
+from std_toolkit.scanning.table_model import _agreed, _gain, compare, model_table
 from std_toolkit.scanning.views import View
 from tests.std_toolkit.scanning.ball import look_at
 
@@ -90,6 +91,29 @@ def test_the_table_is_what_photos_agree_on_though_most_show_an_object() -> None:
     nothing = _agreed(samples, ~seen, gains)
     assert nothing[1][0] == 255
     assert np.isfinite(nothing[0]).all()
+
+
+def test_the_exposure_is_that_of_the_table_though_an_object_hides_most_of_it() -> None:
+    rng = np.random.default_rng(0)
+    table = np.array([1.1, 1.0, 0.9]) + rng.normal(0, 0.01, (400, 3))
+    hidden = rng.uniform(0.05, 0.8, (600, 1)) * np.ones(3)
+    assert np.allclose(_gain(np.concatenate([table, hidden])), [1.1, 1.0, 0.9], atol=0.01)
+
+
+@pytest.mark.slow
+def test_the_table_is_known_where_too_large_an_outline_blocks_it() -> None:
+    views = photos_of_a_box()
+    too_large = [dilated(v.shown, 8) for v in views]
+    low, high = np.array([-0.2, -0.2]), np.array([0.2, 0.2])
+    table = model_table(views, low, high, CORNERS, too_large)
+    # No photo shows these cells beside the outline.
+    beside = np.round((np.array([0.0, HALF[1] + 0.01]) - low) / table.cell).astype(int)
+    assert not table.seen[beside[1], beside[0]]
+    assert table.known[beside[1], beside[0]]
+    assert not table.known[table.known.shape[0] // 2, table.known.shape[1] // 2]
+    for i, view in enumerate(views):
+        assert view.mask is not None
+        assert not (compare(view, [table], i).clear & view.mask).any()
 
 
 def test_a_cell_of_two_colours_is_in_doubt() -> None:
