@@ -16,8 +16,10 @@ import ipaddress
 import os
 import re
 import secrets
-from collections.abc import Callable
+import signal
+from collections.abc import Awaitable, Callable
 from functools import partial
+from types import FrameType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -63,6 +65,7 @@ def run(args: AnnotateOptions) -> int:
     Raises:
         ToolkitError: the address is reachable by others and no token is set, the port is in use, or
             the scene cannot be opened, or the folder of meshes does not exist or contains none.
+        KeyboardInterrupt: SIGINT or SIGTERM ended the server.
     """
     assert args.scene is not None and args.web is not None  # ensured by the options
     check_address(args.host, args.token)
@@ -71,8 +74,39 @@ def run(args: AnnotateOptions) -> int:
     with Session.open(
         args.scene, annotator=args.annotator, recover=args.recover, read_only=args.read_only
     ) as session:
-        asyncio.run(serve(session, host=args.host, port=args.web, token=args.token, meshes=meshes))
+        asyncio.run(
+            _until_signal(
+                serve(session, host=args.host, port=args.web, token=args.token, meshes=meshes)
+            )
+        )
     return 0
+
+
+async def _until_signal(serving: Awaitable[None]) -> None:
+    """Run the server; the first SIGINT or SIGTERM ends it between two tasks of the event loop.
+
+    VTK ends the process with status 1 if a callback that it calls raises KeyboardInterrupt, which
+    the default handler does wherever the program is.
+    """
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    assert task is not None
+    signals: list[int] = []
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        if signals:  # again, while tasks that write to the scene are waited for
+            raise KeyboardInterrupt
+        signals.append(number)
+        loop.call_soon_threadsafe(task.cancel)
+
+    if callable(signal.getsignal(signal.SIGINT)):  # not ignored, as in the background of a script
+        signal.signal(signal.SIGINT, end)  # SIGTERM does here what SIGINT does
+    try:
+        await serving
+    except asyncio.CancelledError:
+        if not signals:
+            raise
+    if signals:
+        raise KeyboardInterrupt
 
 
 def prepare_drawing() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import signal
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -59,3 +62,35 @@ def test_the_scene_is_nobody_else_s_before_its_labels_are_propagated(
     assert seen == ["another process is annotating this scene", "propagated"]
     with Session.open(root, annotator="other") as session:
         assert session.recovery is None
+
+
+# VTK ends the process with status 1 if a callback raises KeyboardInterrupt.
+IN_A_CALLBACK = """
+import asyncio, os, signal, sys, time
+from vtkmodules.vtkCommonCore import vtkObject
+from annotator.web.web_app import _until_signal
+from std_toolkit.cli.command import exit_status
+
+def callback(caller, event):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.05)  # a handler runs here
+
+async def serving():
+    caller = vtkObject()
+    caller.AddObserver("ModifiedEvent", callback)
+    caller.Modified()
+    try:
+        await asyncio.sleep(60)
+    finally:
+        print("closed", flush=True)
+
+sys.exit(exit_status(lambda: asyncio.run(_until_signal(serving())), program="p"))
+"""
+
+
+def test_a_signal_within_a_callback_of_the_views_closes_the_scene() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", IN_A_CALLBACK], capture_output=True, text=True, timeout=60,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (130, "closed\n"), done.stderr
