@@ -45,7 +45,7 @@ def object_masks(
     own = _own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 12")
+    key = digest_of(posed.digest, options.pick, options.box, "masks 13")
 
     def make() -> dict[str, Any]:
         if not posed.on_table:

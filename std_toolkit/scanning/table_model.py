@@ -40,6 +40,9 @@ _AT_REST = 0.6
 _RINGS, _RING, _CONTINUED, _CONTINUED_SHARE, _STEADY = 16, 4, 20.0, 0.25, 1.5
 # The continued table in parts of the brightness of the known one, and its deviation in hue.
 _DARKEST, _BRIGHTEST, _OTHER_HUE = 0.4, 1.15, 10.0
+# Logarithm of the exposure within which a cell suits it, and how many times as many cells must suit
+# another one than the median.
+_SAME_GAIN, _MORE = 0.04, 1.5
 # Share of the cells from which the board is compared instead of all of them.
 _BOARD = 0.2
 # Margin of the table around the board, and of the far one that is compared coarsely, in sizes of
@@ -170,15 +173,19 @@ def model_table(
 def _gain(ratios: NDArray[np.float32]) -> NDArray[np.float32]:
     """(3,) exposure of a photo from the ratios (N, 3) of its colours to those of the table.
 
-    An object may hide most of the board from a low camera: the ratios of a third of the cells that
-    differ least are those of the table.
+    The median, unless an object hides most of the board from a low camera: then that of the third
+    of the cells that differ least, if it suits clearly more cells.
     """
     grey = np.log(np.maximum(ratios.mean(axis=-1), 1e-3))
     order = grey.argsort()
     k = max(1, round(_AGREE_BESIDE * len(order)))
     width = grey[order[k - 1 :]] - grey[order[: len(order) - k + 1]]
     first = int(width.argmin())
-    return np.asarray(np.median(ratios[order[first : first + k]], axis=0), np.float32)
+    usual = np.median(ratios, axis=0)
+    agreed = np.median(ratios[order[first : first + k]], axis=0)
+    suits = [(np.abs(grey - np.log(max(gain.mean(), 1e-3))) < _SAME_GAIN).sum()
+             for gain in (usual, agreed)]  # fmt: skip
+    return np.asarray(agreed if suits[1] > _MORE * suits[0] else usual, np.float32)
 
 
 def _of_the_table(known: Mask, corners: Array) -> Mask:

@@ -100,6 +100,14 @@ def test_the_exposure_is_that_of_the_table_though_an_object_hides_most_of_it() -
     assert np.allclose(_gain(np.concatenate([table, hidden])), [1.1, 1.0, 0.9], atol=0.01)
 
 
+def test_the_exposure_is_the_median_where_no_other_suits_clearly_more_cells() -> None:
+    rng = np.random.default_rng(0)
+    # A shadow's even grey agrees best, but most of the board is in the light.
+    light = 1.0 + rng.normal(0, 0.02, (600, 1)) * np.ones(3)
+    shadow = 0.8 + rng.normal(0, 0.001, (400, 1)) * np.ones(3)
+    assert np.allclose(_gain(np.concatenate([light, shadow])), 1.0, atol=0.03)
+
+
 @pytest.mark.slow
 def test_the_table_is_known_where_too_large_an_outline_blocks_it() -> None:
     views = photos_of_a_box()
