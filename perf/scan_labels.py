@@ -4,11 +4,11 @@
 
 The demo's recording of six objects is labelled twice from the same first-frame poses: with the true
 meshes, and with meshes that `std-scan` makes of path-traced photos of each object (`std-sim
-turntable`), poses and masks not given. Diffuse objects are photographed as they are, the steel bowl
-sprayed, the glass bottle as it is with `--revolve`. A scanned mesh is moved rigidly onto the true
-one, from the true cameras on, so that both have the frame of the first-frame poses. Prints how far
-each mesh is from the true one, and the label errors (MSSD of the true mesh over all frames) of
-both. Finished steps in DIR are kept.
+turntable`), poses and masks not given. Diffuse objects are photographed in the colours that they
+have in the recording, the steel bowl sprayed, the glass bottle as it is with `--revolve`. A scanned
+mesh is moved rigidly onto the true one, from the true cameras on, so that both have the frame of
+the first-frame poses. Prints how far each mesh is from the true one, and the label errors (MSSD of
+the true mesh over all frames) of both. Finished steps in DIR are kept.
 """
 
 from __future__ import annotations
@@ -25,12 +25,15 @@ sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "perf")]
 
 from scan import align, by_cameras, compare, seen_points  # noqa: E402
 
+from sensors.materials.textures import to_linear, to_srgb  # noqa: E402
 from sensors.output.recording_writer import TrueObject, read_truth  # noqa: E402
 from sensors.simulation.options import TurntableOptions  # noqa: E402
 from sensors.simulation.turntable import make_turntable  # noqa: E402
 from sensors.synthetic.demo import curate, pipeline, run_demo  # noqa: E402
+from sensors.synthetic.simulated import SimulatedOptions, draw_objects  # noqa: E402
 from sensors.synthetic.truth import label_errors, write_annotations  # noqa: E402
 from std_toolkit.geometry.mesh import load_mesh  # noqa: E402
+from std_toolkit.importers.foreign_files import write_mesh  # noqa: E402
 from std_toolkit.jobs import JobOptions  # noqa: E402
 from std_toolkit.scanning.options import ScanOptions  # noqa: E402
 from std_toolkit.scanning.scan_step import scan  # noqa: E402
@@ -38,7 +41,21 @@ from std_toolkit.scanning.write_model import write_model  # noqa: E402
 from std_toolkit.scene.scene import Scene  # noqa: E402
 
 
-def scanned_mesh(item: TrueObject, recording: Path, work: Path, args: argparse.Namespace) -> Path:
+def colored_meshes(work: Path) -> dict[str, Path]:
+    """The objects of the demo's recording with the colours that it shows."""
+    out = {}
+    for asset, drawn in zip(*draw_objects(SimulatedOptions().seed), strict=True):
+        mesh, share = asset.scaled(drawn.diagonal_m), drawn.material.own_share
+        own = asset.face_colors if asset.face_colors is not None else np.full((1, 3), 188, np.uint8)
+        mixed = share * to_linear(own) + (1 - share) * np.asarray(drawn.material.color)
+        mesh.visual.face_colors = np.resize(to_srgb(mixed), (len(mesh.faces), 3))
+        name = f"{drawn.category}_{drawn.instance}"
+        out[name] = work / "colored" / f"{name}.ply"
+        write_mesh(out[name], mesh)
+    return out
+
+
+def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namespace) -> Path:
     """Mesh of a scan of the object in the frame of its true mesh."""
     name, photos = item.name, work / "turntables" / item.name
     made = work / "models" / name / f"{name}.obj"
@@ -47,7 +64,7 @@ def scanned_mesh(item: TrueObject, recording: Path, work: Path, args: argparse.N
     glass = item.material == "transparent"
     make_turntable(
         TurntableOptions(
-            mesh=recording / item.mesh, out=photos, up="y", views=args.views,
+            mesh=mesh, out=photos, up="y", views=args.views,
             width=args.size[0], height=args.size[1],
             material="glass" if glass else "sprayed" if item.material == "specular" else "own",
         )
@@ -80,7 +97,8 @@ def main() -> None:
         raise SystemExit("the demo failed")
     recording, scene = demo / "recording", work / "scene"
     truth = read_truth(recording)
-    meshes = {item.name: scanned_mesh(item, recording, work, args) for item in truth.objects}
+    colored = colored_meshes(work)
+    meshes = {o.name: scanned_mesh(o, colored[o.name], work, args) for o in truth.objects}
     for command in pipeline(truth, recording, scene, write_annotations(truth, recording), meshes):
         # Labels that the checks of `run` reject are compared, too.
         if curate(command) and not command.startswith("run "):

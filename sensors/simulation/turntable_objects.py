@@ -9,6 +9,7 @@ import numpy as np
 from sensors.materials.material_draw import DrawnMaterial, DrawnTexture, Glass, draw_material
 from sensors.render.sim_scene import SceneObject, SurfaceMesh
 from sensors.simulation.options import TurntableOptions
+from sensors.simulation.world_builder import palette_surface
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.surface_colors import SurfaceColors
@@ -83,26 +84,26 @@ def _own_look(*, roughness: float, specular: float) -> DrawnMaterial:
 def mesh_object(mesh: Any, material: DrawnMaterial, T_world_obj: SE3) -> SceneObject:
     """The mesh with its own texture or colours."""
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
-    visual = mesh.visual
-    texture, uv, color = None, None, (0.5, 0.5, 0.5)
-    if visual.kind == "texture":
-        look = SurfaceColors.from_mesh(mesh, largest=None)
-        if look is not None and look.texture is not None:
-            texture = look.texture.astype(np.uint8)
-            # A corner each: at seams, one vertex has several coordinates.
-            uv = look.corners.reshape(-1, 2).astype(np.float64)
-            vertices = vertices[faces].reshape(-1, 3)
-            faces = np.arange(len(vertices)).reshape(-1, 3)
-    elif visual.defined:
-        rgb = np.asarray(visual.vertex_colors, np.float64)[:, :3].mean(axis=0) / 255
-        color = tuple(float(c) ** 2.2 for c in rgb)
+    look = SurfaceColors.from_mesh(mesh, largest=None)
+    texture = None
+    if look is None:
+        surface = SurfaceMesh(vertices, faces)
+    elif look.texture is None:
+        colors = np.rint(look.corners.mean(axis=1)).astype(np.uint8)
+        surface, texture = palette_surface(vertices, faces, colors)
+    else:
+        texture = look.texture.astype(np.uint8)
+        # A corner each: at seams, one vertex has several coordinates.
+        each = np.arange(faces.size).reshape(-1, 3)
+        uv = look.corners.reshape(-1, 2).astype(np.float64)
+        surface = SurfaceMesh(vertices[faces].reshape(-1, 3), each, uv)
     return SceneObject(
         OBJECT_ID,
-        SurfaceMesh(vertices, faces, uv),
+        surface,
         T_world_obj,
         material,
         texture=texture,
-        color=color,
+        color=(0.5, 0.5, 0.5),
         largest_texture=_LARGEST_TEXTURE,
     )
 

@@ -37,8 +37,9 @@ TABLE_THICK_M, WALL_HEIGHT_M = 0.03, 2.2
 # Share of the views from the side, where there are table edges or walls.
 LOW_SHARE = 0.35
 
-# Texels per colour of a palette: several, so that filtering does not mix neighbours.
-_SWATCH = 4
+# Texels per colour of a palette: several, so that filtering does not mix neighbours; and the most
+# colours in a row.
+_SWATCH, _PALETTE_WIDTH = 4, 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,12 +282,23 @@ def own_surface(asset: Asset, diagonal_m: float) -> tuple[SurfaceMesh, NDArray[n
         return _with_corners(vertices, asset.faces, asset.corner_uv), asset.texture
     if asset.face_colors is None:
         return SurfaceMesh(vertices, asset.faces), None
-    palette, of_face = np.unique(asset.face_colors, axis=0, return_inverse=True)
-    image = np.repeat(np.repeat(palette[None], _SWATCH, axis=0), _SWATCH, axis=1)
-    u = (of_face.reshape(-1) + 0.5) / len(palette)
-    corners = np.stack([u, np.full(len(u), 0.5)], axis=1)
+    return palette_surface(vertices, asset.faces, asset.face_colors)
+
+
+def palette_surface(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], colors: NDArray[np.uint8]
+) -> tuple[SurfaceMesh, NDArray[np.uint8]]:
+    """A mesh whose faces have a colour each, (F, 3) sRGB, and the texture image of the palette."""
+    palette, of_face = np.unique(colors, axis=0, return_inverse=True)
+    row, column = np.divmod(of_face.reshape(-1), _PALETTE_WIDTH)
+    width = min(len(palette), _PALETTE_WIDTH)
+    height = -(-len(palette) // width)
+    # The last row is filled up from the first.
+    swatches = np.resize(palette, (height, width, 3))
+    image = np.repeat(np.repeat(swatches, _SWATCH, axis=0), _SWATCH, axis=1)
+    corners = np.stack([(column + 0.5) / width, 1 - (row + 0.5) / height], axis=1)
     uv = np.repeat(corners[:, None], 3, axis=1)
-    return _with_corners(vertices, asset.faces, uv), np.ascontiguousarray(image)
+    return _with_corners(vertices, faces, uv), np.ascontiguousarray(image)
 
 
 def _with_corners(

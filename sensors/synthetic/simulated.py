@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -26,6 +27,10 @@ from std_toolkit.io.images import write_color
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene.document import Document
 from std_toolkit.scene.model import Material
+
+if TYPE_CHECKING:
+    from sensors.assets import Asset
+    from sensors.simulation.scene_draw import ObjectDraw
 
 # Asset of the built-in library, diagonal in metres, class and material ("": the asset's own look):
 # four that a stereo sensor measures, a bottle of glass and a bowl of steel that it does not.
@@ -113,18 +118,40 @@ def make_simulated_recording(
     return recorder.finish()
 
 
+def draw_objects(seed: int) -> tuple[list[Asset], list[ObjectDraw]]:
+    """The objects of a recording: their shapes, and their sizes and materials by its seed."""
+    from sensors.assets import SourceOptions, open_source
+    from sensors.materials.material_draw import draw_material
+    from sensors.simulation.scene_draw import ObjectDraw, generator
+
+    source = open_source("procedural", SourceOptions(split="all"))
+    assets = [source.load(asset_id) for asset_id, *_ in OBJECTS]
+    rng = generator(seed, "materials")
+    return assets, [
+        ObjectDraw(
+            instance=instance,
+            asset=asset.id,
+            category=asset.category,
+            diagonal_m=diagonal,
+            material=draw_material(rng, material_class, name=name or None),
+        )
+        for instance, (asset, (_, diagonal, material_class, name)) in enumerate(
+            zip(assets, OBJECTS, strict=True), start=1
+        )
+    ]
+
+
 class _Recorder:
     """The scene at rest, and its simulator."""
 
     def __init__(self, out: Path, options: SimulatedOptions, cache: Path | None) -> None:
-        from sensors.assets import SourceOptions, open_source
         from sensors.lighting.environment_sources import environment_source
         from sensors.lighting.light_draw import FloorDraw, draw_lighting
         from sensors.materials.material_draw import draw_material
         from sensors.physics import PhysicalObject, convex_parts, settle
         from sensors.physics.settle import SettleOptions
         from sensors.simulation.options import SimulationOptions
-        from sensors.simulation.scene_draw import ObjectDraw, SceneDraw, generator
+        from sensors.simulation.scene_draw import SceneDraw, generator
         from sensors.simulation.simulated_set import parts_cache
         from sensors.simulation.simulator import Simulator
         from sensors.simulation.world_builder import build_world
@@ -140,21 +167,7 @@ class _Recorder:
             quality=options.quality,
         )
         self.simulator = Simulator(settings, parts_cache=cache)
-        source = open_source("procedural", SourceOptions(split="all"))
-        assets = [source.load(asset_id) for asset_id, *_ in OBJECTS]
-        rng = generator(options.seed, "materials")
-        objects = [
-            ObjectDraw(
-                instance=instance,
-                asset=asset.id,
-                category=asset.category,
-                diagonal_m=diagonal,
-                material=draw_material(rng, material_class, name=name or None),
-            )
-            for instance, (asset, (_, diagonal, material_class, name)) in enumerate(
-                zip(assets, OBJECTS, strict=True), start=1
-            )
-        ]
+        assets, objects = draw_objects(options.seed)
         rng = generator(options.seed, "light")
         environment = environment_source(None, split="train").draw(rng)
         cloth = draw_material(generator(options.seed, "floor"), "diffuse", name="fabric_cotton")

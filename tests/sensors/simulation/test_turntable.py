@@ -107,3 +107,29 @@ def test_print_on_a_box_keeps_all_pixels_of_its_texture(tmp_path: Path, suffix: 
     assert look.image.shape == lines.shape
     assert np.abs(look.image.astype(int) - lines).max() <= 2
     assert np.ptp(look.uv.reshape(-1, 2), axis=0) == pytest.approx([0.5, 1.0])
+
+
+@pytest.mark.parametrize("kind", ["vertex", "face"])
+def test_a_mesh_with_colours_shows_each_of_them(tmp_path: Path, kind: str) -> None:
+    box = trimesh.creation.box((0.06, 0.12, 0.04)).subdivide_to_size(0.003)
+    rng = np.random.default_rng(0)
+    colors = rng.integers(0, 256, (len(box.faces), 3), np.uint8)
+    if kind == "face":
+        box.visual.face_colors = colors
+    else:  # each face in one colour
+        box = trimesh.Trimesh(
+            box.vertices[box.faces].reshape(-1, 3), np.arange(box.faces.size).reshape(-1, 3),
+            vertex_colors=np.repeat(colors, 3, axis=0), process=False,
+        )  # fmt: skip
+    path = tmp_path / "box.ply"
+    box.export(path)
+    options = TurntableOptions(mesh=path, out=tmp_path / "out", up="y", views=2)
+    subject = write_truth(options).subject()
+    look = appearance(subject)
+    h, w = look.image.shape[:2]
+    u, v = look.uv.mean(axis=1).T
+    shown = look.image[((1 - v) * h).astype(int), (u * w).astype(int)]
+    assert np.abs(shown.astype(int) - colors).max() <= 2
+    np.testing.assert_allclose(
+        subject.mesh.vertices[subject.mesh.faces], np.asarray(box.vertices)[box.faces], atol=1e-6
+    )
