@@ -117,10 +117,12 @@ def seen_points(vertices: Any, faces: Any, views: Any, to_world: np.ndarray) -> 
     return np.asarray(points[seen])
 
 
-def compare(scan: Any, truth: Any, start: np.ndarray | None = None) -> dict[str, float]:
-    """Accuracy and completeness in millimetres, completeness at 2 mm and scale.
+def compare(
+    scan: Any, truth: Any, start: np.ndarray | None = None
+) -> tuple[dict[str, float], np.ndarray]:
+    """Accuracy and completeness in millimetres, completeness at 2 mm and scale; and the motion.
 
-    The alignment begins with `start`, as of `align`.
+    The alignment begins with `start`, as of `align`; its result (4, 4) takes the scan to the truth.
     """
     import trimesh
 
@@ -143,7 +145,7 @@ def compare(scan: Any, truth: Any, start: np.ndarray | None = None) -> dict[str,
         0
     ]
     whole = caster.distance(np.asarray(all_of_it) @ back[:3, :3].T + back[:3, 3])
-    return {
+    row = {
         "median mm": 1000 * float(np.median(accuracy)),
         "95 % mm": 1000 * float(np.percentile(accuracy, 95)),
         "complete 2 mm %": 100 * float((complete < 0.002).mean()),
@@ -152,6 +154,7 @@ def compare(scan: Any, truth: Any, start: np.ndarray | None = None) -> dict[str,
         "whole complete 2 mm %": 100 * float((whole < 0.002).mean()),
         "scale %": 100 * (1 / scale - 1),
     }
+    return row, T
 
 
 def _bare(vertices: Any, faces: Any) -> Any:
@@ -181,7 +184,7 @@ def measured(name: str, options: Any, truth: Any, folder: Path | None = None) ->
     cpu = resource.getrusage(resource.RUSAGE_SELF).ru_utime - cpu
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     start = by_cameras(done, folder) if folder else None
-    row = {} if truth is None else compare(done, truth, start)
+    row = {} if truth is None else compare(done, truth, start)[0]
     row |= {"wall s": wall, "CPU s": cpu, "GiB": memory}
     shown = "  ".join(f"{k} {v:.2f}" for k, v in row.items())
     print(f"{name:24} {shown}", flush=True)

@@ -23,7 +23,7 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "perf")]
 
-from scan import align, by_cameras, compare, seen_points  # noqa: E402
+from scan import by_cameras, compare  # noqa: E402
 
 from sensors.materials.textures import to_linear, to_srgb  # noqa: E402
 from sensors.output.recording_writer import TrueObject, read_truth  # noqa: E402
@@ -76,10 +76,8 @@ def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namesp
         )
     )  # fmt: skip
     truth, start = load_mesh(photos / "truth" / "mesh.ply"), by_cameras(done, photos)
-    shown = "  ".join(f"{k} {v:.2f}" for k, v in compare(done, truth, start).items())
-    print(f"{name:24} {shown}", flush=True)
-    points = seen_points(done.vertices, done.faces, done.views, np.eye(4))
-    T, _ = align(points, truth, start)
+    row, T = compare(done, truth, start)
+    print(f"{name:24} {'  '.join(f'{k} {v:.2f}' for k, v in row.items())}", flush=True)
     moved = done.vertices @ T[:3, :3].T + T[:3, 3]
     return write_model(made.parent, name, moved, done.faces, done.texture)["obj"]
 
