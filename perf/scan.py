@@ -169,9 +169,10 @@ def by_cameras(scan: Any, folder: Path) -> np.ndarray:
     from std_toolkit.geometry import SE3
 
     truth = read_turntable_truth(folder)
-    place = {name: n for n, name in enumerate(truth.photos)}
-    view = next(v for v in scan.views if v.name in place)
-    T_obj_cam = SE3.from_matrix(truth.T_world_obj).inverse() @ truth.pose(place[view.name])
+    place = {Path(name).stem: n for n, name in enumerate(truth.photos)}
+    view = next(v for v in scan.views if Path(v.name).stem in place)
+    nth = place[Path(view.name).stem]
+    T_obj_cam = SE3.from_matrix(truth.T_world_obj).inverse() @ truth.pose(nth)
     return (T_obj_cam @ view.T_world_cam.inverse()).matrix()
 
 
@@ -283,7 +284,7 @@ def write_rgbd(folder: Path, root: Path) -> Path:
         error = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 1.5)
         disparity = camera.fx * 0.055 / depth + 0.06 * error / error.std()
         measured_depth = np.where(depth < 3, camera.fx * 0.055 / disparity / 1.01, 0)
-        name = f"{n:06d}"
+        name = Path(photo).stem
         write_color(root / "color" / f"{name}.png", read_color(folder / "photos" / photo))
         write_depth_png16(root / "depth" / f"{name}.png", measured_depth, scale=0.0001)
         frames.append(Frame(id=n, name=name, color=f"color/{name}.png", depth=f"depth/{name}.png"))

@@ -1,6 +1,6 @@
 """Labels with scanned meshes against labels with the true ones: `python perf/scan_labels.py`.
 
-    python perf/scan_labels.py [--work DIR] [--size 800 450] [--views 48] [--threads N]
+    python perf/scan_labels.py [--sensor] [--work DIR] [--size 800 450] [--views 48] [--threads N]
 
 The demo's recording of six objects is labelled twice from the same first-frame poses: with the true
 meshes, and with meshes that `std-scan` makes of path-traced photos of each object (`std-sim
@@ -8,7 +8,8 @@ turntable`), poses and masks not given. Diffuse objects are photographed in the 
 have in the recording, the steel bowl sprayed, the glass bottle as it is with `--revolve`. A scanned
 mesh is moved rigidly onto the true one, from the true cameras on, so that both have the frame of
 the first-frame poses. Prints how far each mesh is from the true one, and the label errors (MSSD of
-the true mesh over all frames) of both. Finished steps in DIR are kept.
+the true mesh over all frames) of both. With `--sensor` all but glass is photographed by a depth
+camera, as in `perf/scan.py`. Finished steps in DIR are kept.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "perf")]
 
-from scan import by_cameras, compare  # noqa: E402
+from scan import by_cameras, compare, write_rgbd  # noqa: E402
 
 from sensors.materials.textures import to_linear, to_srgb  # noqa: E402
 from sensors.output.recording_writer import TrueObject, read_truth  # noqa: E402
@@ -58,10 +59,11 @@ def colored_meshes(work: Path) -> dict[str, Path]:
 def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namespace) -> Path:
     """Mesh of a scan of the object in the frame of its true mesh."""
     name, photos = item.name, work / "turntables" / item.name
-    made = work / "models" / name / f"{name}.obj"
+    glass = item.material == "transparent"
+    kind = "-rgbd" if args.sensor and not glass else ""
+    made = work / f"models{kind}" / name / f"{name}.obj"
     if made.exists():
         return made
-    glass = item.material == "transparent"
     make_turntable(
         TurntableOptions(
             mesh=mesh, out=photos, up="y", views=args.views,
@@ -71,8 +73,9 @@ def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namesp
     )  # fmt: skip
     done = scan(
         ScanOptions(
-            photos=photos / "photos", board=photos / "board.json", out=work / "scans" / name,
-            revolve=glass, jobs=JobOptions(workers=args.threads),
+            photos=write_rgbd(photos, work / "rgbd" / name) if kind else photos / "photos",
+            board=photos / "board.json", out=work / f"scans{kind}" / name, revolve=glass,
+            jobs=JobOptions(workers=args.threads),
         )
     )  # fmt: skip
     truth, start = load_mesh(photos / "truth" / "mesh.ply"), by_cameras(done, photos)
@@ -84,6 +87,7 @@ def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namesp
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--sensor", action="store_true")
     parser.add_argument("--work", type=Path)
     parser.add_argument("--size", type=int, nargs=2, default=(800, 450))
     parser.add_argument("--views", type=int, default=48)
@@ -93,7 +97,7 @@ def main() -> None:
     demo = work / "demo"
     if run_demo(demo):
         raise SystemExit("the demo failed")
-    recording, scene = demo / "recording", work / "scene"
+    recording, scene = demo / "recording", work / ("scene-rgbd" if args.sensor else "scene")
     truth = read_truth(recording)
     colored = colored_meshes(work)
     meshes = {o.name: scanned_mesh(o, colored[o.name], work, args) for o in truth.objects}

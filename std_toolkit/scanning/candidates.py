@@ -13,7 +13,8 @@ from scipy import ndimage
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.hull import surface_of
-from std_toolkit.scanning.table_model import Comparison, compare, model_tables
+from std_toolkit.scanning.table_comparison import Comparison, compare
+from std_toolkit.scanning.table_model import model_tables
 from std_toolkit.scanning.views import Array, Grid, Mask, View, in_threads
 
 # Voxels of the first, coarse hull.
@@ -29,10 +30,14 @@ _ABOVE_M = 0.004
 # Features of one object have a neighbour within this distance.
 _LINK_M = 0.02
 _MIN_POINTS = 20
+# Sizes of the inner part of a hull of points, and of what may belong to the object.
+_INNER, _OUTER = 0.7, 1.15
 # Rim of a coarse hull that may not be the object, as a share of the depth where it is deepest.
 _RIM = 0.3
 # A picked pixel belongs to the features around it.
 _PICK_PX = 45.0
+
+Surface = tuple[Array, NDArray[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +48,9 @@ class Candidate:
         low, high: (3,) corners of its bounding box, world.
         volume: cubic metres of its coarse hull.
         vertices, faces: surface of its coarse hull.
-        outer: surface of all that may belong to it: also what is above the hull and stands before
-            no known table in any photo. None for the hull with a margin.
-        inner: surface of its inner part, which certainly shows the object. None for the hull made
-            smaller about its middle.
+        voxels: surfaces (vertices, faces) of all that may belong to it, which includes what is
+            above the hull and stands before no known table in any photo, and of its inner part.
+            None if it was found by points alone.
     """
 
     low: Array
@@ -54,8 +58,21 @@ class Candidate:
     volume: float
     vertices: Array
     faces: NDArray[np.int64]
-    outer: tuple[Array, NDArray[np.int64]] | None = None
-    inner: tuple[Array, NDArray[np.int64]] | None = None
+    voxels: tuple[Surface, Surface] | None = None
+
+    @property
+    def outer(self) -> Surface:
+        """Surface of all that may belong to it."""
+        return self._scaled(_OUTER) if self.voxels is None else self.voxels[0]
+
+    @property
+    def inner(self) -> Surface:
+        """Surface of the part that certainly belongs to it."""
+        return self._scaled(_INNER) if self.voxels is None else self.voxels[1]
+
+    def _scaled(self, factor: float) -> Surface:
+        middle = (self.low + self.high) / 2
+        return middle + factor * (self.vertices - middle), self.faces
 
 
 def find_candidates(
@@ -170,14 +187,14 @@ def _split(
         found.append(
             Candidate(
                 vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces,
-                _outer(labels == n, possible, grid), _inner(part, local),
+                (_outer(labels == n, possible, grid), _inner(part, local)),
             )
         )  # fmt: skip
     found.sort(key=lambda c: -c.volume)
     return [c for c in found if c.volume > _SMALL * found[0].volume]
 
 
-def _outer(part: Mask, possible: Mask, grid: Grid) -> tuple[Array, NDArray[np.int64]]:
+def _outer(part: Mask, possible: Mask, grid: Grid) -> Surface:
     """Surface of a part with a margin, and of the possible voxels above it."""
     near = ndimage.binary_dilation(part, iterations=2)
     footprint = near.any(axis=0)
@@ -190,7 +207,7 @@ def _outer(part: Mask, possible: Mask, grid: Grid) -> tuple[Array, NDArray[np.in
     return surface_of(np.where(joined, -grid.step, grid.step).astype(np.float32), grid)
 
 
-def _inner(part: Mask, grid: Grid) -> tuple[Array, NDArray[np.int64]]:
+def _inner(part: Mask, grid: Grid) -> Surface:
     """Surface of the voxels of a part that are deep in it, whatever its shape."""
     # Below is the table, not the outline.
     padded = np.pad(part, ((0, 1), (1, 1), (1, 1)))

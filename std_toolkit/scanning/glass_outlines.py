@@ -21,7 +21,8 @@ from std_toolkit.scanning.glass_profile import outline_evidence, rough_profile
 from std_toolkit.scanning.masks import dilated
 from std_toolkit.scanning.revolve import fit_outline_points
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
-from std_toolkit.scanning.table_model import deviation, model_tables
+from std_toolkit.scanning.table_comparison import deviation
+from std_toolkit.scanning.table_model import model_tables
 from std_toolkit.scanning.views import Array, Mask, View, in_threads
 
 # Pixels to both sides of the outline that are searched, in each round.

@@ -18,7 +18,7 @@ from std_toolkit.scanning.masks import dilated, segment_by_border
 from std_toolkit.scanning.object_checks import check_opaque
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.posed_photos import PosedPhotos
-from std_toolkit.scanning.proven_masks import segment_on_table, well_within
+from std_toolkit.scanning.proven_masks import segment_on_table
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.views import View
 from std_toolkit.scene.document import digest_of
@@ -86,7 +86,7 @@ def _on_table(options: ScanOptions, posed: PosedPhotos, threads: int) -> list[Vi
             _draw_candidates(options.out / "candidates.jpg", views, found)
             raise
     if not options.revolve:
-        check_opaque(views, posed.found, *well_within(found[chosen]))
+        check_opaque(views, posed.found, *found[chosen].inner)
     done = segment_on_table(views, found, chosen, compared, threads=threads)
     if len(found) > 1:
         return done

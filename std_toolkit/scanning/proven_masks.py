@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from std_toolkit.geometry.ray_caster import RayCaster
@@ -26,12 +25,9 @@ from std_toolkit.scanning.masks import (
     view_depth,
     with_hidden,
 )
-from std_toolkit.scanning.table_model import Comparison
-from std_toolkit.scanning.views import Array, Mask, View, in_threads
+from std_toolkit.scanning.table_comparison import Comparison
+from std_toolkit.scanning.views import Mask, View, in_threads
 
-# The inner part of a candidate's coarse shape that certainly shows the object.
-_INNER = 0.7
-_OUTER = 1.15
 # Islands of the table's colour within an object, as a share of its outline: smaller ones are print.
 _ISLAND = 0.03
 # Photos, as a share of all, that may see the bare table through a point of the first hull.
@@ -60,10 +56,8 @@ def segment_on_table(
     """
     target = candidates[chosen]
     others = [c for i, c in enumerate(candidates) if i != chosen]
-    middle = (target.low + target.high) / 2
-    grown = middle + _OUTER * (target.vertices - middle), target.faces
-    outer = RayCaster(*(target.outer or grown), threads=1)
-    inner = RayCaster(*well_within(target), threads=1)
+    outer = RayCaster(*target.outer, threads=1)
+    inner = RayCaster(*target.inner, threads=1)
     before = None
     if others:
         before = RayCaster(threads=1)
@@ -114,14 +108,6 @@ def segment_on_table(
         overruled=None if others else 1, threads=threads,
     )  # fmt: skip
     return with_hidden(done, never, threads=threads) if others else done
-
-
-def well_within(candidate: Candidate) -> tuple[Array, NDArray[np.int64]]:
-    """The inner part of a candidate's coarse shape, which certainly belongs to the object."""
-    if candidate.inner is not None:
-        return candidate.inner
-    middle = (candidate.low + candidate.high) / 2
-    return middle + _INNER * (candidate.vertices - middle), candidate.faces
 
 
 def without_islands(clear: Mask, outline: Mask) -> Mask:

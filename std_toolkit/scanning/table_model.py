@@ -1,4 +1,4 @@
-"""The table as the photos agree on it, and where each photo differs from it.
+"""The table as the photos agree on it.
 
 A point of the table is seen by some photos and hidden by the object in others. Those that see it
 agree closely, shadows that rest on it included, and those that see the object do not.
@@ -28,8 +28,6 @@ _AGREE, _AGREE_BESIDE, _BETTER = 0.5, 0.3, 2.0
 # Share of the photos that leave a cell in doubt if they agree on another colour, and the grey
 # values within which they then lie.
 _AGREE_ELSE, _CLOSE = 0.25, 2.0
-# Grey values of print that a photo must show, too, and their smallest share there, to be clear.
-_PRINT, _PRINT_SHOWN = 40.0, 0.4
 # A cell whose photos differ more is no table at rest: a moving background, or the object.
 _LARGEST_SPREAD = 22.0
 # Share of the cells around the board that are at rest on a table, and are not around a turntable.
@@ -49,7 +47,7 @@ _BOARD = 0.2
 # the board.
 _NEAR, _FAR = 0.35, 3.0
 # Sine of the angle below which the table is seen too flat to compare.
-_FLATTEST = 0.12
+FLATTEST = 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +71,6 @@ class TableModel:
     known: Mask
     gains: NDArray[np.float32]
     width: float
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A photo compared with the table.
-
-    Attributes:
-        clear: (H, W) pixels that show the bare table.
-        different: (H, W) pixels before the known table that show something else.
-        known: (H, W) pixels whose rays meet the known table.
-        beyond: (H, W) pixels whose rays meet neither the known table nor any place near the board.
-    """
-
-    clear: Mask
-    different: Mask
-    known: Mask
-    beyond: Mask
 
 
 def model_tables(
@@ -137,7 +118,7 @@ def model_table(
         uv, z = view.project(flat)
         uv = np.where(np.isfinite(uv), uv, -10).astype(np.float32)
         inside = (uv > 0).all(axis=1) & (uv < np.array(view.camera.size) - 1).all(axis=1) & (z > 0)
-        steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > _FLATTEST
+        steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > FLATTEST
         seen[i] = shown[i] = inside & steep
         if blocked is not None:
             x, y = np.rint(uv[inside].T).astype(np.int64)
@@ -319,106 +300,3 @@ def _narrowest(
     width = np.where(within, np.where(within, high, 0) - np.where(within, grey, 0), np.inf)
     start = width.argmin(axis=0)
     return start, start + k, width[start, np.arange(grey.shape[1])].astype(np.float32)
-
-
-def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
-    """Where a photo shows the bare table and where something else.
-
-    Args:
-        view: the photo.
-        tables: of `model_table` over all photos; where several know a place, the first counts.
-        index: index of the photo among them.
-    """
-    off, printed, beyond = _against(view, tables, index)
-    known = np.isfinite(off)
-    # Before tags, a plain object has one of their colours everywhere.
-    _, side = _seen(view, tables[0])
-    cells = np.ones((side, side), np.uint8)
-    shown = (cv2.dilate(view.image, cells) - cv2.erode(view.image, cells)).max(axis=-1)
-    clear = known & (off < 1) & ((printed < _PRINT) | (shown > _PRINT_SHOWN * printed))
-    clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    return Comparison(clear, known & (off > 2), known, beyond)
-
-
-def deviation(view: View, tables: Sequence[TableModel], index: int) -> NDArray[np.float32]:
-    """(H, W) difference of a photo from the table, in parts of the table's width.
-
-    It is 0 for any colour that the table has within about a pixel, and NaN where no table is
-    known.
-
-    Args:
-        view: the photo.
-        tables: of `model_table` over all photos; where several know a place, the first counts.
-        index: index of the photo among them.
-    """
-    return _against(view, tables, index)[0]
-
-
-def _against(
-    view: View, tables: Sequence[TableModel], index: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
-    """(H, W) difference as in `deviation`, contrast of the table within about a pixel, and pixels
-    whose rays meet neither the known table nor the first one."""
-    (off, printed, met), *others = (_deviation(view, table, index) for table in tables)
-    for farther, contrast, _ in others:
-        first = np.isfinite(off) | met
-        off, printed = np.where(first, off, farther), np.where(first, printed, contrast)
-    return off, printed, ~met & ~np.isfinite(off)
-
-
-def _pixel_m(view: View) -> float:
-    """Metres of the table in a pixel of a photo, across the ray, where it looks at the table."""
-    c = view.camera
-    u, v = np.meshgrid(np.arange(0, c.width, 8), np.arange(0, c.height, 8))
-    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
-    rays = local @ view.T_world_cam.R.T
-    steep = -rays[..., 2] / np.linalg.norm(rays, axis=-1) > _FLATTEST
-    if not steep.any():
-        return 0.001
-    return float(np.median(-view.centre[2] / rays[..., 2][steep])) / c.fx
-
-
-def _seen(view: View, table: TableModel) -> tuple[int, int]:
-    """Sides of the square whose colours a pixel may show: in cells, and in pixels of the photo.
-
-    Both are odd. A smaller window of a sharp photo lies within a cell of a tag and shows no
-    contrast.
-    """
-    pixel = _pixel_m(view)
-    cells = 2 * max(1, round(1.2 * pixel / table.cell)) + 1
-    return cells, 2 * max(2, round(cells * table.cell / pixel / 2)) + 1
-
-
-def _deviation(
-    view: View, table: TableModel, index: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
-    h, w = view.image.shape[:2]
-    c = view.camera
-    u, v = np.meshgrid(np.arange(w), np.arange(h))
-    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
-    rays = local @ view.T_world_cam.R.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = -view.centre[2] / rays[..., 2]
-    at = view.centre[:2] + np.where(t > 0, t, np.nan)[..., None] * rays[..., :2]
-    cell = ((at - table.low) / table.cell).astype(np.float32)
-    cell[~np.isfinite(cell)] = -100
-    steep = -rays[..., 2] / np.linalg.norm(rays, axis=-1) > _FLATTEST
-    color = (table.color * table.gains[index]).astype(np.float32)
-    # A pixel may show any colour within about a pixel of its place on the table.
-    n, _ = _seen(view, table)
-    kernel = np.ones((n, n), np.uint8)
-    x, y = cell[..., 0], cell[..., 1]
-    hidden = ~table.known[..., None]
-    low = np.where(hidden, np.float32(1e6), color)
-    high = np.where(hidden, np.float32(-1e6), color)
-    darkest = cv2.remap(cv2.erode(low, kernel), x, y, cv2.INTER_LINEAR)
-    brightest = cv2.remap(cv2.dilate(high, kernel), x, y, cv2.INTER_LINEAR)
-    # Between the cells of a tag photos differ by their blur, but neighbours bound the colours.
-    closed = cv2.morphologyEx(table.known.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
-    known = cv2.remap(closed, x, y, cv2.INTER_NEAREST) > 0
-    met = steep & (x >= 0) & (y >= 0) & (x < color.shape[1]) & (y < color.shape[0])
-    known &= met
-    image = cv2.GaussianBlur(view.image, (0, 0), 0.7).astype(np.float32)
-    off = np.maximum(np.maximum(image - brightest, darkest - image), 0).max(axis=-1)
-    off = np.where(known, off / table.width, np.nan).astype(np.float32)
-    return off, np.where(known, (brightest - darkest).max(axis=-1), 0), met

@@ -11,7 +11,8 @@ pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import Camera
 from std_toolkit.scanning.masks import dilated
-from std_toolkit.scanning.table_model import _agreed, _gain, compare, model_table
+from std_toolkit.scanning.table_comparison import compare
+from std_toolkit.scanning.table_model import _agreed, _gain, model_table
 from std_toolkit.scanning.views import View
 from tests.std_toolkit.scanning.ball import look_at
 
