@@ -23,8 +23,12 @@ from std_toolkit.scanning.board_photos import MIN_CORNERS, MIN_PHOTOS
 _LARGEST_ERROR_PX = 4.0
 _MIN_REGISTERED_POINTS = 20
 _MOST_TRACKS = 15_000
-# A corner is the meeting of two fitted edges: it counts as many features.
-_CORNER_WEIGHT = 8
+# A corner, the meeting of two fitted edges, is about a fifth as far off as a feature: its square
+# counts as that of many.
+_CORNER_WEIGHT = 20
+# A corner that is this many times as far off as most, and at least so many pixels, is not where the
+# photo shows it: it is seen through glass or in a mirror, or misread.
+_FALSE, _FALSE_PX = 6.0, 0.3
 # Cameras whose focal lengths differ less have square pixels.
 _SQUARE = 0.005
 
@@ -37,7 +41,7 @@ class PosedPhotos:
         camera: intrinsics shared by all photos.
         poses: T_world_cam by index of the photo; photos without a pose are missing.
         corners: (M, 3) corners of the board in the world, metres.
-        corner_rms_px: root mean square reprojection error of the corners.
+        corner_rms_px: root mean square reprojection error of the corners that are not false.
         feature_rms_px: the same of the features; NaN without features.
         scale_deviation: relative difference of the size of the board that the features imply.
         points: (N, 3) triangulated features.
@@ -211,7 +215,8 @@ def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhot
     options.ceres.loss_function_scale = 1.5
     options.ceres.solver_options.max_num_iterations = 60
     with quiet_colmap():
-        for _ in range(2):
+        # False corners bend the camera, which hides the lesser ones among them.
+        for n in range(4):
             config = pycolmap.BundleAdjustmentConfig()
             for i in model.reg_image_ids():
                 config.add_image(i)
@@ -219,15 +224,18 @@ def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhot
                 if model.exists_point3D(p):
                     config.add_constant_point(p)
             pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+            dropped = _drop_false_corners(model, fixed)
             _drop_outliers(model, fixed)
+            if n > 0 and not dropped:
+                break
         model.update_point_3d_errors()
     camera = from_colmap_camera(model.camera(1))
     poses = {i - 1: from_rigid3d(model.image(i).cam_from_world()).inverse()
              for i in sorted(model.reg_image_ids())}  # fmt: skip
     r = [np.linalg.norm(camera.project(T.inverse() @ found[i].xyz) - found[i].uv, axis=1)
          for i, T in poses.items() if len(found[i].ids)]  # fmt: skip
-    errors = np.concatenate(r) if r else np.zeros(0)
-    errors = errors[errors < 5]
+    errors = np.concatenate(r) if r else np.zeros(1)
+    errors = errors[errors <= max(_FALSE_PX, _FALSE * float(np.median(errors)))]
     ids = [p for p in model.point3D_ids() if p not in fixed]
     points = np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3)
     squares = np.array([model.point3D(p).error for p in ids])
@@ -235,12 +243,49 @@ def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhot
         camera=camera,
         poses=poses,
         corners=np.array(sorted(corners)).reshape(-1, 3),
-        corner_rms_px=float(np.sqrt((errors**2).mean())) if len(errors) else float("nan"),
+        corner_rms_px=float(np.sqrt((errors**2).mean())) if r else float("nan"),
         feature_rms_px=float(np.sqrt((squares**2).mean())) if len(squares) else float("nan"),
         scale_deviation=_scale_deviation(poses, found, camera),
         points=points,
         without_board=tuple(i for i in range(count) if len(found[i].ids) < MIN_CORNERS),
     )
+
+
+def _drop_false_corners(model: Any, fixed: set[int]) -> int:
+    """Remove observations of corners that are much farther off than most; returns their number.
+
+    The corners of a photo of which most are far off stay: there the pose is not found yet.
+    """
+    import pycolmap
+
+    camera = model.camera(1)
+    error: dict[int, NDArray[np.float64]] = {}
+    index: dict[int, NDArray[np.int64]] = {}
+    for i in model.reg_image_ids():
+        image = model.image(i)
+        seen = [
+            (n, p.xy, p.point3D_id) for n, p in enumerate(image.points2D) if p.point3D_id in fixed
+        ]
+        if not seen:
+            continue
+        xyz = np.stack([model.point3D(p).xyz for _, _, p in seen])
+        uv = camera.img_from_cam(image.cam_from_world() * xyz)
+        error[i] = np.linalg.norm(np.asarray(uv) - np.stack([xy for _, xy, _ in seen]), axis=1)
+        index[i] = np.array([n for n, _, _ in seen])
+    if not error:
+        return 0
+    limit = max(_FALSE_PX, _FALSE * float(np.median(np.concatenate(list(error.values())))))
+    manager = pycolmap.ObservationManager(model)
+    dropped = 0
+    for i, e in error.items():
+        false = index[i][e > limit]
+        if 2 * len(false) > len(e):
+            continue
+        for n in false.tolist():
+            if model.image(i).point2D(n).has_point3D():  # not deleted with another one
+                manager.delete_observation(i, n)
+        dropped += len(false)
+    return dropped
 
 
 def _drop_outliers(model: Any, fixed: set[int]) -> None:

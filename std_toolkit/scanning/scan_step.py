@@ -225,7 +225,7 @@ def _poses(
     kept = [i for i in range(len(found.paths)) if i not in set(blurred)]
     digest = digest_of(
         inputs, digest_file(options.board), options.intrinsics, options.max_features, found.factor,
-        kept, "poses 3",
+        kept, "poses 4",
     )  # fmt: skip
 
     def make() -> dict[str, Any]:

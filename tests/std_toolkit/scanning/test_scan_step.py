@@ -177,6 +177,39 @@ def test_features_do_not_change_what_corners_say(tmp_path: Path) -> None:
     assert len(done.points) > 10
 
 
+@pytest.mark.parametrize("features", [True, False])
+def test_corners_seen_through_glass_do_not_move_the_cameras(tmp_path: Path, features: bool) -> None:
+    camera = Camera(640, 480, 600, 600, 322.0, 236.0)
+    middle = np.array([0.1, 0.07, 0.0])
+    poses = {
+        k: look_at(middle + np.array([0.25 * np.cos(k), 0.25 * np.sin(k), h]), middle)
+        for k, h in [(k, 0.12 if k % 2 else 0.3) for k in range(10)]
+    }
+    rng = np.random.default_rng(0)
+    found = []
+    for k, T in poses.items():
+        one = grid_detection(T, camera)
+        uv = one.uv + rng.normal(0, 0.08, one.uv.shape)
+        # Behind the vessel, a sixth of the corners are moved upwards, as by a lens.
+        behind = np.argsort(np.abs(one.uv[:, 0] - 320) + 0.1 * k)[: len(uv) // 6]
+        uv[behind] += rng.normal([0.0, -4.0], 1.5, (len(behind), 2))
+        found.append(replace(one, uv=uv))
+    points = middle + rng.uniform(-0.06, 0.06, (60, 3)) + [0, 0, 0.06]
+    uv = {
+        k: camera.project(T.inverse() @ points) + rng.normal(0, 0.5, (60, 2))
+        for k, T in poses.items()
+    }
+    same = np.column_stack([np.arange(60)] * 2)
+    pairs = [(a, b, same) for a in poses for b in poses if a < b] if features else []
+    paths = [tmp_path / f"{k}.jpg" for k in poses]
+    start = {k: board_pose(found[k], camera)[0].inverse() for k in poses}  # type: ignore[index]
+    done = adjust(build_model(paths, start, found, uv, pairs, camera), found, len(paths))
+    off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
+    assert max(off) < 4e-4
+    assert done.camera.fx == pytest.approx(600, abs=0.6)
+    assert done.corner_rms_px == pytest.approx(0.08 * np.sqrt(2), rel=0.15)
+
+
 @pytest.mark.slow
 def test_a_ball_is_a_surface_of_revolution() -> None:
     shift = SE3(np.eye(3), np.array([0, 0, RADIUS - CENTRE[2]]))
