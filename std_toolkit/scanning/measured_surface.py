@@ -17,6 +17,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.depth_maps import DepthEngine, DepthMap
+from std_toolkit.scanning.hollow import hollowed
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks import covered, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
@@ -158,7 +159,8 @@ def fused_surface(
     Args:
         options: of the scan.
         sides: each with the motion from its world into that of the first.
-        facts: receives the share of vertices that photos agree on, and that closed by a plane.
+        facts: receives the share of vertices that photos agree on, that of the volume that is
+            opened, and that of the surface that is closed by a plane.
         threads: number of threads.
     """
     views = [replace(v, T_world_cam=T @ v.T_world_cam) for side, T in sides for v in side.views]
@@ -174,7 +176,14 @@ def fused_surface(
         grid, _ = _grid(views, options.voxels, on_table)
         hulls = _hulls(views, grid, floors, threads)
     fused = _fused(views, layers, hulls, grid, threads)
-    vertices, faces = closed_mesh(fused.field, grid, options.faces)
+    field = fused.field
+    if options.wall_mm is not None:
+        # The first folder shows the vessel upright.
+        wall_m = options.wall_mm / 1000
+        field, opened = hollowed(field, hulls[0], grid, sides[0][0].views, wall_m)
+        told = f"{100 * opened:.0f} % of the volume, a guess from the wall"
+        facts["hollow"] = told if opened else "none: the top is not open to the photos"
+    vertices, faces = closed_mesh(field, grid, options.faces)
     average = averaging(faces, len(vertices))
     vertices = fit_outlines(
         vertices, faces, views, _at(fused.support, grid, vertices), average=average,

@@ -44,6 +44,11 @@ class ScanOptions:
     revolve: bool = False
     """fit a surface of revolution to the outlines: for unsprayed vessels of glass or metal, without
     handles"""
+    wall_mm: Annotated[float, msgspec.Meta(gt=0, le=100)] | None = None
+    """thickness in millimetres of the wall and base of a vessel that is open at the top, such as a
+    mug or a bowl: its hollow, where plain walls show no depth, is the outside moved inwards. With
+    --revolve, of the wall alone (default: no hollow but what photos show; with --revolve, as its
+    rim shows)"""
     category: str = "other"
     """category of the object, which turns its frame: the handle of a "mug" is on the side of +x"""
     faces: Annotated[int, msgspec.Meta(ge=100, le=2_000_000)] = 20_000

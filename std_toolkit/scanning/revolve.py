@@ -84,6 +84,7 @@ def fit_outline_points(
     centre: Array,
     heights: Array,
     radii: Array,
+    wall_m: float | None = None,
     most_outside: float = _LARGEST_OUTSIDE,
 ) -> RevolvedSurface:
     """Fit an axis and a profile to points of the outline, near a profile that is known roughly.
@@ -93,6 +94,7 @@ def fit_outline_points(
         points: (N, 2) pixels of the outline in each photo.
         centre: (2,) where the axis meets the table, about.
         heights, radii: (K,) the rough profile, metres.
+        wall_m: thickness of the wall, if known; None takes it from the rim.
         most_outside: share of the points that may belong to something else.
 
     Raises:
@@ -103,7 +105,7 @@ def fit_outline_points(
     count = int(np.clip(top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     line = np.interp(np.linspace(0, top, count), heights, radii)
     start = TurnedProfile(line, top, np.array([*centre, 0.0, 0.0]))
-    return _fitted(views, rays, start, None, most_outside)
+    return _fitted(views, rays, start, wall_m, most_outside)
 
 
 def _fitted(
