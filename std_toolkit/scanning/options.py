@@ -70,6 +70,11 @@ class ScanOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.wall_mm is not None and self.known.cameras is not None:
+            raise ToolkitError(
+                "needs the board, which tells what is upright", field="--wall-mm",
+                value=self.wall_mm, hint="leave it out with --cameras",
+            )  # fmt: skip
         if self.flipped is None:
             return
         if self.photos.resolve() == self.flipped.resolve():

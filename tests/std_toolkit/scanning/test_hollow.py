@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from std_toolkit.errors import ToolkitError
+from std_toolkit.options import KnownCameras
 from std_toolkit.scanning.hollow import hollowed
+from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.views import Grid, View
 from tests.std_toolkit.scanning.ball import ball_views, look_at
 
@@ -89,3 +93,9 @@ def test_without_a_flat_top_nothing_is_opened() -> None:
     found, share = hollowed(hull, hull, GRID, views(), WALL)
     assert share == 0
     np.testing.assert_array_equal(found, hull)
+
+
+def test_a_wall_needs_an_upright_world(tmp_path: Path) -> None:
+    known = KnownCameras(cameras=tmp_path / "cameras.json")
+    with pytest.raises(ToolkitError, match=r"--wall-mm.*tells what is upright"):
+        ScanOptions(photos=tmp_path, out=tmp_path / "out", wall_mm=3.0, known=known)
