@@ -4,6 +4,7 @@ dino        the ring of 16 photos with known cameras: outline overlap, extent
 mustard     the real mustard bottle among other things, against its YCB mesh
 TURNTABLE   folder of `std-sim turntable`: photos/, board.json and truth mesh, poses not given;
             FIRST+SECOND joins the photos of SECOND (`--flipped`), with the truth mesh of FIRST
+--wall-mm   thickness of the wall of open vessels, as of `std-scan`
 --sensor    scans each turntable as an RGB-D scene, too: true depth of object and table with the
             errors of an active stereo camera of 55 mm baseline, correlated noise of 0.06 px of
             disparity and a scale wrong by 1 %
@@ -234,7 +235,7 @@ def mustard(work: Path) -> None:
     measured("mustard bottle, real", options, load_mesh(meshes[0]))
 
 
-def turntable(what: str, work: Path, *, sensor: bool) -> None:
+def turntable(what: str, work: Path, *, wall_mm: float | None, sensor: bool) -> None:
     from std_toolkit.geometry.mesh import load_mesh
     from std_toolkit.scanning.options import ScanOptions
 
@@ -247,6 +248,7 @@ def turntable(what: str, work: Path, *, sensor: bool) -> None:
         flipped=Path(second) / "photos" if second else None,
         out=work / name,
         board=folder / "board.json",
+        wall_mm=wall_mm,
     )
     done = measured(name, options, load_mesh(truth), folder)
     if sensor:
@@ -297,6 +299,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("what", nargs="*", default=["dino", "mustard"])
     parser.add_argument("--work", type=Path)
+    parser.add_argument("--wall-mm", type=float)
     parser.add_argument("--sensor", action="store_true")
     given = parser.parse_args()
     work = given.work or Path(tempfile.mkdtemp(prefix="scan-"))
@@ -304,7 +307,7 @@ def main() -> None:
         if what in ("dino", "mustard"):
             {"dino": dino, "mustard": mustard}[what](work)
         else:
-            turntable(what, work, sensor=given.sensor)
+            turntable(what, work, wall_mm=given.wall_mm, sensor=given.sensor)
 
 
 if __name__ == "__main__":
