@@ -46,6 +46,9 @@ _HUBER, _OUTSIDE = 2.0, 6.0
 # The profile bends by this much over a step, as a deviation; corners are kept by a robust weight.
 _BEND_M = 1.5e-4
 
+# Steps below the rim where the profile has no corner.
+_AT_RIM = 3
+
 # Deviation of the axis from the vertical: the object stands on the table.
 _TILT_RAD = np.deg2rad(0.4)
 
@@ -53,8 +56,8 @@ _TILT_RAD = np.deg2rad(0.4)
 # object is none of revolution.
 _LARGEST_OUTSIDE, _LARGEST_PX = 0.1, 3.0
 
-# The last of a profile that is looked at for the cone of `_without_cone`, and its slope.
-_CONE_M, _CONE = 0.003, 1.2
+# Height of the cone above the rim, its slope in parts of that of the rays, and rays over the rim.
+_CONE_M, _CONE, _FEWEST_OVER = 0.003, 0.6, 20
 
 # A wall that no photo shows is taken as this.
 _GUESSED_WALL_M = 0.0025
@@ -120,12 +123,12 @@ def _fitted(
     for _ in range(_ROUNDS // 2):
         state, sigma = _improved(rays, state, sigma)
     for _ in range(2):
-        state = _lowest_top(rays, state, sigma)
+        state = _with_cone(_lowest_top(rays, state, sigma))
         for _ in range(_ROUNDS // 2):
             state, sigma = _improved(rays, state, sigma)
-    state = _without_cone(state)
-    for _ in range(_ROUNDS // 2):
-        state, sigma = _improved(rays, state, sigma)
+        state = _without_cone(rays, state)
+        for _ in range(_ROUNDS // 2):
+            state, sigma = _improved(rays, state, sigma)
     gap = ray_gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
     kept = np.abs(pixels) <= max(_OUTSIDE * sigma, _LARGEST_PX)
@@ -242,14 +245,33 @@ def _lowest_top(rays: OutlineRays, state: TurnedProfile, sigma: float) -> Turned
     return TurnedProfile(radii, high, state.axis)
 
 
-def _without_cone(state: TurnedProfile) -> TurnedProfile:
+def _with_cone(state: TurnedProfile) -> TurnedProfile:
+    """Higher by a margin that is no part of the object: a rim too low would widen instead."""
+    count = len(state.radii)
+    extra = max(1, round(_CONE_M * (count - 1) / state.top))
+    radii = np.concatenate([state.radii, np.full(extra, state.radii[-1])])
+    return replace(state, radii=radii, top=state.top * (len(radii) - 1) / (count - 1))
+
+
+def _without_cone(rays: OutlineRays, state: TurnedProfile) -> TurnedProfile:
     """Without what rays over the rim leave above it: a cone that closes as steeply as they fall."""
-    slope = np.gradient(state.radii, state.heights)
-    cone = np.flatnonzero((state.heights > state.top - _CONE_M) & (slope < -_CONE))
-    if not len(cone):
+    gap = ray_gaps(rays, state)
+    height = state.heights[gap.index]
+    fall = -rays.direction[height > state.top - 3 * _CONE_M]
+    fall = fall[fall[:, 2] > 0.05]
+    if len(fall) < _FEWEST_OVER:
         return state
-    top = float(state.heights[max(cone[0] - 1, 1)])
-    heights = np.linspace(0, top, len(state.radii))
+    steepest = float(np.percentile(np.hypot(fall[:, 0], fall[:, 1]) / fall[:, 2], 10))
+    slope = np.gradient(state.radii, state.heights)
+    # From the rim downwards, as long as it closes.
+    closing = (slope < -_CONE * steepest)[::-1]
+    first = int(closing[:3].argmax()) if closing[:3].any() else 0
+    count = first + int((~closing[first:]).argmax()) if closing[:3].any() else 0
+    count = min(count, len(state.radii) - _LEAST_HEIGHTS // 2)
+    if count <= 0:
+        return state
+    top = float(state.heights[len(state.radii) - count])
+    heights = np.linspace(0, top, len(state.radii) - count)
     return replace(state, radii=np.interp(heights, state.heights, state.radii), top=top)
 
 
@@ -283,6 +305,8 @@ def _system(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Arra
     b = -(J * weight[:, None]).T @ residual
     bend = np.diff(state.radii, 2) / _BEND_M
     stiff = 1 / (1 + (bend / 2) ** 2)
+    # A higher rim looks like a wider one: that of a profile that goes on as below it is meant.
+    stiff[-_AT_RIM:] = 1
     D = np.zeros((count - 2, count + 5))
     row = np.arange(count - 2)
     D[row, row], D[row, row + 1], D[row, row + 2] = 1, -2, 1

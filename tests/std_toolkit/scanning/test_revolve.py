@@ -9,7 +9,8 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.revolve import fit_revolution
+from std_toolkit.scanning.outline_rays import mask_outline
+from std_toolkit.scanning.revolve import fit_outline_points, fit_revolution
 from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
 
 CAMERA = Camera(fx=420.0, fy=420.0, cx=159.5, cy=119.5, width=320, height=240)
@@ -63,6 +64,27 @@ def test_profile_and_axis_of_a_tumbler(fitted: RevolvedSurface) -> None:
     assert apart.max() < 1e-3
     assert fitted.outside < 0.01
     assert np.median(fitted.deviation_m) < 5e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start_m", [0.084, 0.095])
+def test_rim_that_only_photos_from_above_show(start_m: float) -> None:
+    """A lower rim that widens has the same outline from there."""
+    views = views_of(tumbler(), 12)
+    rng = np.random.default_rng(1)
+    points = []
+    for k, view in enumerate(views):
+        uv = mask_outline(view.mask)
+        if k % 2 == 0:  # before the unknown background
+            below = view.T_world_cam.inverse() @ (CENTRE + np.array([0, 0, 0.08]))
+            uv = uv[uv[:, 1] > CAMERA.project(below)[1]]
+        points.append(uv + rng.normal(0, 0.4, uv.shape))
+    found = fit_outline_points(
+        views, points, centre=CENTRE[:2], heights=np.array([0, 0.03, start_m]),
+        radii=np.array([0.026, 0.022, 0.03]),
+    )  # fmt: skip
+    assert found.heights[-1] == pytest.approx(0.09, abs=1e-3)
+    assert found.radii[-1] == pytest.approx(0.03, abs=1e-3)
 
 
 @pytest.mark.slow
