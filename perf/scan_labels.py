@@ -1,16 +1,16 @@
 """Labels with scanned meshes against labels with the true ones: `python perf/scan_labels.py`.
 
-    python perf/scan_labels.py [--sensor] [--work DIR] [--size 800 450] [--views 48] [--threads N]
+    python perf/scan_labels.py [--work DIR] [--size 800 450] [--views 48] [--threads N]
 
 The demo's recording of six objects is labelled twice from the same first-frame poses: with the true
 meshes, and with meshes that `std-scan` makes of path-traced photos of each object (`std-sim
 turntable`), poses and masks not given. Diffuse objects are photographed in the colours that they
 have in the recording, the steel bowl sprayed, the glass bottle as it is with `--revolve`; the walls
-of mug and bowl are measured (`--wall-mm`). A scanned mesh is moved rigidly onto the true one, from
-the true cameras on, so that both have the frame of the first-frame poses. Prints how far each mesh
-is from the true one, and the label errors (MSSD of the true mesh over all frames) of both. With
-`--sensor` all but glass is photographed by a depth camera, as in `perf/scan.py`. Finished steps in
-DIR are kept.
+of mug and bowl are measured (`--wall-mm`), and the car, which lies on its roof in the recording, is
+turned over for a second folder. A scanned mesh is moved rigidly onto the true one, from the true
+cameras on, so that both have the frame of the first-frame poses. Prints how far each mesh is from
+the true one, and the label errors (MSSD of the true mesh over all frames) of both. Finished steps
+in DIR are kept.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import trimesh
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "perf")]
 
-from scan import by_cameras, compare, write_rgbd  # noqa: E402
+from scan import by_cameras, compare  # noqa: E402
 
 from sensors.materials.textures import to_linear, to_srgb  # noqa: E402
 from sensors.output.recording_writer import TrueObject, read_truth  # noqa: E402
@@ -43,6 +43,8 @@ from std_toolkit.scanning.scan_step import scan  # noqa: E402
 from std_toolkit.scanning.write_model import write_model  # noqa: E402
 from std_toolkit.scene.scene import Scene  # noqa: E402
 
+# Lies on its roof in the recording, which shows its underside.
+TURNED_OVER = {"car_6"}
 # Thickness of the walls of open vessels at the rim, as calipers measure it.
 WALLS_MM = {"mug_3": 3.4, "bowl_2": 3.2}
 
@@ -66,23 +68,26 @@ def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namesp
     """Mesh of a scan of the object in the frame of its true mesh."""
     name, photos = item.name, work / "turntables" / item.name
     glass = item.material == "transparent"
-    kind = "-rgbd" if args.sensor and not glass else ""
-    made = work / f"models{kind}" / name / f"{name}.obj"
+    made = work / "models" / name / f"{name}.obj"
     if made.exists():
         return made
-    make_turntable(
-        TurntableOptions(
-            mesh=mesh, out=photos, up="y", views=args.views,
-            width=args.size[0], height=args.size[1],
-            material="glass" if glass else "sprayed" if item.material == "specular" else "own",
-        )
-    )  # fmt: skip
+    flipped = work / "turntables" / f"{name}_flipped" if name in TURNED_OVER else None
+    for folder in (photos, flipped):
+        if folder is not None:
+            make_turntable(
+                TurntableOptions(
+                    mesh=mesh, out=folder, up="y", views=args.views, flipped=folder is flipped,
+                    width=args.size[0], height=args.size[1],
+                    material=(
+                        "glass" if glass else "sprayed" if item.material == "specular" else "own"
+                    ),
+                )
+            )  # fmt: skip
     done = scan(
         ScanOptions(
-            photos=write_rgbd(photos, work / "rgbd" / name) if kind else photos / "photos",
-            board=photos / "board.json", out=work / f"scans{kind}" / name, revolve=glass,
-            wall_mm=WALLS_MM.get(name),
-            jobs=JobOptions(workers=args.threads),
+            photos=photos / "photos", flipped=flipped / "photos" if flipped else None,
+            board=photos / "board.json", out=work / "scans" / name, revolve=glass,
+            wall_mm=WALLS_MM.get(name), jobs=JobOptions(workers=args.threads),
         )
     )  # fmt: skip
     truth, start = load_mesh(photos / "truth" / "mesh.ply"), by_cameras(done, photos)
@@ -94,7 +99,6 @@ def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namesp
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--sensor", action="store_true")
     parser.add_argument("--work", type=Path)
     parser.add_argument("--size", type=int, nargs=2, default=(800, 450))
     parser.add_argument("--views", type=int, default=48)
@@ -104,7 +108,7 @@ def main() -> None:
     demo = work / "demo"
     if run_demo(demo):
         raise SystemExit("the demo failed")
-    recording, scene = demo / "recording", work / ("scene-rgbd" if args.sensor else "scene")
+    recording, scene = demo / "recording", work / "scene"
     truth = read_truth(recording)
     colored = colored_meshes(work)
     meshes = {o.name: scanned_mesh(o, colored[o.name], work, args) for o in truth.objects}
