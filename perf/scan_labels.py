@@ -6,11 +6,10 @@ The demo's recording of six objects is labelled twice from the same first-frame 
 meshes, and with meshes that `std-scan` makes of path-traced photos of each object (`std-sim
 turntable`), poses and masks not given. Diffuse objects are photographed in the colours that they
 have in the recording, the steel bowl sprayed, the glass bottle as it is with `--revolve`; the walls
-of mug and bowl are measured (`--wall-mm`), and the car, which lies on its roof in the recording, is
-turned over for a second folder. A scanned mesh is moved rigidly onto the true one, from the true
-cameras on, so that both have the frame of the first-frame poses. Prints how far each mesh is from
-the true one, and the label errors (MSSD of the true mesh over all frames) of both. Finished steps
-in DIR are kept.
+of mug and bowl are measured (`--wall-mm`). A scanned mesh is moved rigidly onto the true one, from
+the true cameras on, so that both have the frame of the first-frame poses. Prints how far each mesh
+is from the true one, and the label errors (MSSD of the true mesh over all frames) of both. Finished
+steps in DIR are kept.
 """
 
 from __future__ import annotations
@@ -43,8 +42,6 @@ from std_toolkit.scanning.scan_step import scan  # noqa: E402
 from std_toolkit.scanning.write_model import write_model  # noqa: E402
 from std_toolkit.scene.scene import Scene  # noqa: E402
 
-# Lies on its roof in the recording, which shows its underside.
-TURNED_OVER = {"car_6"}
 # Thickness of the walls of open vessels at the rim, as calipers measure it.
 WALLS_MM = {"mug_3": 3.4, "bowl_2": 3.2}
 
@@ -71,23 +68,17 @@ def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namesp
     made = work / "models" / name / f"{name}.obj"
     if made.exists():
         return made
-    flipped = work / "turntables" / f"{name}_flipped" if name in TURNED_OVER else None
-    for folder in (photos, flipped):
-        if folder is not None:
-            make_turntable(
-                TurntableOptions(
-                    mesh=mesh, out=folder, up="y", views=args.views, flipped=folder is flipped,
-                    width=args.size[0], height=args.size[1],
-                    material=(
-                        "glass" if glass else "sprayed" if item.material == "specular" else "own"
-                    ),
-                )
-            )  # fmt: skip
+    make_turntable(
+        TurntableOptions(
+            mesh=mesh, out=photos, up="y", views=args.views,
+            width=args.size[0], height=args.size[1],
+            material="glass" if glass else "sprayed" if item.material == "specular" else "own",
+        )
+    )  # fmt: skip
     done = scan(
         ScanOptions(
-            photos=photos / "photos", flipped=flipped / "photos" if flipped else None,
-            board=photos / "board.json", out=work / "scans" / name, revolve=glass,
-            wall_mm=WALLS_MM.get(name), jobs=JobOptions(workers=args.threads),
+            photos=photos / "photos", board=photos / "board.json", out=work / "scans" / name,
+            revolve=glass, wall_mm=WALLS_MM.get(name), jobs=JobOptions(workers=args.threads),
         )
     )  # fmt: skip
     truth, start = load_mesh(photos / "truth" / "mesh.ply"), by_cameras(done, photos)
