@@ -288,7 +288,13 @@ def own_surface(asset: Asset, diagonal_m: float) -> tuple[SurfaceMesh, NDArray[n
 def palette_surface(
     vertices: NDArray[np.floating], faces: NDArray[np.integer], colors: NDArray[np.uint8]
 ) -> tuple[SurfaceMesh, NDArray[np.uint8]]:
-    """A mesh whose faces have a colour each, (F, 3) sRGB, and the texture image of the palette."""
+    """A mesh whose faces have a colour each, and the texture image of the palette.
+
+    Args:
+        vertices: (V, 3) metres.
+        faces: (F, 3) vertex indices.
+        colors: (F, 3) uint8 sRGB.
+    """
     palette, of_face = np.unique(colors, axis=0, return_inverse=True)
     row, column = np.divmod(of_face.reshape(-1), _PALETTE_WIDTH)
     width = min(len(palette), _PALETTE_WIDTH)

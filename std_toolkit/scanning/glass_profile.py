@@ -21,8 +21,9 @@ from std_toolkit.scanning.views import Array, View
 
 # Heights of the profile and steps of the radius per step of height.
 _HEIGHTS, _FINE = 90, 4
-# Heights of the profiles by which the axis is looked for first, and its steps in metres.
-_COARSE_HEIGHTS, _COARSE_M = 40, 0.003
+# Heights of the profiles by which the axis is looked for first, and its steps in metres: an axis
+# that is 2 mm off shows hardly anything of a vessel.
+_COARSE_HEIGHTS, _COARSE_M, _COARSE_STEPS = 40, 0.001, (6, 3, 1)
 # Changes of the radius per height; steps beyond them, as at the foot of a glass, have a price.
 _SLOPES = np.array([-6, -4, -2, -1, 0, 1, 2, 4, 6])
 _JUMP, _JUMP_PRICE = 40, 0.6
@@ -189,7 +190,7 @@ def rough_profile(
 
 
 def _near_centre(photos: _Photos, centre: Array, tallest: float, widest: float) -> Array:
-    """The axis with most evidence, each with a coarse profile of its own, to a few millimetres."""
+    """The axis with most evidence, each with a coarse profile of its own, to a millimetre."""
     known: dict[tuple[int, int], float] = {}
 
     def value(at: tuple[int, int]) -> float:
@@ -200,7 +201,7 @@ def _near_centre(photos: _Photos, centre: Array, tallest: float, widest: float) 
         return known[at]
 
     best = (0, 0)
-    for step in (2, 1):
+    for step in _COARSE_STEPS:
         for _ in range(4):
             around = [
                 (best[0] + step * i, best[1] + step * j) for i in (-1, 0, 1) for j in (-1, 0, 1)
