@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.compiled import compiled
+from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.geometry.ray_caster import RayCaster, import_open3d
 from std_toolkit.scanning.depth_maps import hull_depth
 from std_toolkit.scanning.views import Array, View, in_threads
@@ -288,11 +289,8 @@ def rendered(
     """The textured mesh as the camera of a view sees it, RGB, and where it is seen."""
     from std_toolkit.rendering.texture import SurfaceColors
 
-    whole = (0, 0, view.camera.width, view.camera.height)
-    c = view.camera
-    u, v = np.meshgrid(np.arange(whole[2]), np.arange(whole[3]))
-    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
-    rays = np.empty((*u.shape, 6), np.float32)
+    local = pixel_rays(view.camera)
+    rays = np.empty((*local.shape[:2], 6), np.float32)
     rays[..., :3] = view.centre
     rays[..., 3:] = local @ view.T_world_cam.R.T
     hits = mesh_caster.cast(rays)

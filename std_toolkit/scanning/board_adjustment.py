@@ -26,8 +26,8 @@ _MOST_TRACKS = 15_000
 # A corner, the meeting of two fitted edges, is about a fifth as far off as a feature: its square
 # counts as that of many.
 _CORNER_WEIGHT = 20
-# A corner that is this many times as far off as most, and at least so many pixels, is not where the
-# photo shows it: it is seen through glass or in a mirror, or misread.
+# A corner is false, as one seen through glass or in a mirror, if its error exceeds this multiple of
+# the median error and this many pixels.
 _FALSE, _FALSE_PX = 6.0, 0.3
 # Cameras whose focal lengths differ less have square pixels.
 _SQUARE = 0.005
@@ -235,7 +235,7 @@ def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhot
     r = [np.linalg.norm(camera.project(T.inverse() @ found[i].xyz) - found[i].uv, axis=1)
          for i, T in poses.items() if len(found[i].ids)]  # fmt: skip
     errors = np.concatenate(r) if r else np.zeros(1)
-    errors = errors[errors <= max(_FALSE_PX, _FALSE * float(np.median(errors)))]
+    errors = errors[errors <= _largest_error(errors)]
     ids = [p for p in model.point3D_ids() if p not in fixed]
     points = np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3)
     squares = np.array([model.point3D(p).error for p in ids])
@@ -274,7 +274,7 @@ def _drop_false_corners(model: Any, fixed: set[int]) -> int:
         index[i] = np.array([n for n, _, _ in seen])
     if not error:
         return 0
-    limit = max(_FALSE_PX, _FALSE * float(np.median(np.concatenate(list(error.values())))))
+    limit = _largest_error(np.concatenate(list(error.values())))
     manager = pycolmap.ObservationManager(model)
     dropped = 0
     for i, e in error.items():
@@ -286,6 +286,11 @@ def _drop_false_corners(model: Any, fixed: set[int]) -> int:
                 manager.delete_observation(i, n)
         dropped += len(false)
     return dropped
+
+
+def _largest_error(errors: NDArray[np.float64]) -> float:
+    """Error in pixels from which a corner is false, by the errors (N,) of all corners."""
+    return max(_FALSE_PX, _FALSE * float(np.median(errors)))
 
 
 def _drop_outliers(model: Any, fixed: set[int]) -> None:

@@ -45,11 +45,9 @@ def hollowed(
     opening = _opening(inside, _flattest(views))
     if not opening.any():
         return field, 0.0
-    within = grid.step * ndimage.distance_transform_edt(np.pad(opening, 1))[1:-1, 1:-1]
+    within = grid.step * _depth(opening)
     body = _without_handle(inside, _HANDLE * float(within.max()) / grid.step)
-    # Below the grid is the table.
-    padded = np.pad(body, ((1, 1), (1, 1), (1, 1)))
-    deep = grid.step * ndimage.distance_transform_edt(padded)[1:-1, 1:-1, 1:-1]
+    deep = grid.step * _depth(body)
     deep = ndimage.gaussian_filter(deep.astype(np.float32), 0.7) - grid.step / 2
     # Straight up from where the wall ends.
     carved = np.maximum.accumulate(deep - wall_m, axis=0)
@@ -57,6 +55,12 @@ def hollowed(
     found = np.maximum(field, carved)
     before = int((field < 0).sum())
     return found, 1 - float((found < 0).sum()) / max(before, 1)
+
+
+def _depth(body: Mask) -> NDArray[np.float64]:
+    """Distance of pixels or voxels of a body from the outside, which the border belongs to."""
+    padded = np.asarray(ndimage.distance_transform_edt(np.pad(body, 1)))
+    return padded[(slice(1, -1),) * body.ndim]
 
 
 def _without_handle(inside: Mask, radius: float) -> Mask:

@@ -177,10 +177,9 @@ def fused_surface(
         hulls = _hulls(views, grid, floors, threads)
     fused = _fused(views, layers, hulls, grid, threads)
     field = fused.field
-    if options.wall_mm is not None:
+    if options.wall_m is not None:
         # The first folder shows the vessel upright.
-        wall_m = options.wall_mm / 1000
-        field, opened = hollowed(field, hulls[0], grid, sides[0][0].views, wall_m)
+        field, opened = hollowed(field, hulls[0], grid, sides[0][0].views, options.wall_m)
         told = f"{100 * opened:.0f} % of the volume, a guess from the wall"
         facts["hollow"] = told if opened else "none: the top is not open to the photos"
     vertices, faces = closed_mesh(field, grid, options.faces)

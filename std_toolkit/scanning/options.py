@@ -89,6 +89,11 @@ class ScanOptions:
                     hint="leave the second folder out",
                 )  # fmt: skip
 
+    @property
+    def wall_m(self) -> float | None:
+        """Thickness of the wall in metres, if known."""
+        return None if self.wall_mm is None else self.wall_mm / 1000
+
     def labels(self) -> tuple[str, str]:
         """Names of both folders of photos, different ones."""
         assert self.flipped is not None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit import __version__
+from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.html.page import (
     Bullets,
@@ -186,10 +187,8 @@ def _figures(scan: Scan, caster: RayCaster) -> tuple[list[Figure], NDArray[np.fl
 
 
 def _shaded(scan: Scan, view: View, caster: RayCaster) -> NDArray[np.uint8]:
-    c = view.camera
-    u, v = np.meshgrid(np.arange(c.width), np.arange(c.height))
-    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
-    rays = np.empty((*u.shape, 6), np.float32)
+    local = pixel_rays(view.camera)
+    rays = np.empty((*local.shape[:2], 6), np.float32)
     rays[..., :3] = view.centre
     rays[..., 3:] = local @ view.T_world_cam.R.T
     hits = caster.cast(rays)

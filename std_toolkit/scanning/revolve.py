@@ -34,7 +34,8 @@ Array = NDArray[np.float64]
 # Steps between the heights of the profile, and their number.
 _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS = 0.001, 40, 260
 
-_ROUNDS = 12
+# Steps of the fit between changes of its top.
+_ROUNDS = 6
 
 # A lower rim explains the outlines if no larger share of them gets farther than this, in
 # deviations and at least in pixels. The fit then finds the rim itself.
@@ -120,15 +121,11 @@ def _fitted(
 ) -> RevolvedSurface:
     """Axis and profile by least squares from a start."""
     sigma = outline_noise(rays, state)
-    for _ in range(_ROUNDS // 2):
-        state, sigma = _improved(rays, state, sigma)
+    state, sigma = _settled(rays, state, sigma)
     for _ in range(2):
         state = _with_cone(_lowest_top(rays, state, sigma))
-        for _ in range(_ROUNDS // 2):
-            state, sigma = _improved(rays, state, sigma)
-        state = _without_cone(rays, state)
-        for _ in range(_ROUNDS // 2):
-            state, sigma = _improved(rays, state, sigma)
+        state, sigma = _settled(rays, state, sigma)
+        state, sigma = _settled(rays, _without_cone(rays, state), sigma)
     gap = ray_gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
     kept = np.abs(pixels) <= max(_OUTSIDE * sigma, _LARGEST_PX)
@@ -265,8 +262,10 @@ def _without_cone(rays: OutlineRays, state: TurnedProfile) -> TurnedProfile:
     slope = np.gradient(state.radii, state.heights)
     # From the rim downwards, as long as it closes.
     closing = (slope < -_CONE * steepest)[::-1]
-    first = int(closing[:3].argmax()) if closing[:3].any() else 0
-    count = first + int((~closing[first:]).argmax()) if closing[:3].any() else 0
+    if not closing[:3].any():
+        return state
+    first = int(closing.argmax())
+    count = first + int((~closing[first:]).argmax())
     count = min(count, len(state.radii) - _LEAST_HEIGHTS // 2)
     if count <= 0:
         return state
@@ -333,6 +332,13 @@ def _improved(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Tu
         state.axis + step[count + 1 :],
     )
     return state, outline_noise(rays, state)
+
+
+def _settled(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[TurnedProfile, float]:
+    """Some steps, and the noise of the outline after them."""
+    for _ in range(_ROUNDS):
+        state, sigma = _improved(rays, state, sigma)
+    return state, sigma
 
 
 def _deviation(

@@ -310,13 +310,12 @@ def _vessel(
     Raises:
         ToolkitError: without a board, or the object is no surface of revolution.
     """
-    wall_m = None if options.wall_mm is None else options.wall_mm / 1000
     if posed.on_table and not (options.masks or options.pick or options.box):
-        return find_vessel(posed.views, posed.corners, wall_m=wall_m, threads=threads)
+        return find_vessel(posed.views, posed.corners, wall_m=options.wall_m, threads=threads)
     if not posed.on_table:
         raise ToolkitError("needs the board, which tells what is upright", field="--revolve")
     views = object_masks(options, posed, stages, threads)
-    return _vessel_of_masks(views, wall_m), views
+    return _vessel_of_masks(views, options.wall_m), views
 
 
 def _vessel_of_masks(views: Sequence[View], wall_m: float | None = None) -> RevolvedSurface:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.scanning.table_model import FLATTEST, TableModel
 from std_toolkit.scanning.views import Array, Mask, View
 
@@ -80,10 +81,7 @@ def _against(
 
 def _rays(view: View, every: int = 1) -> tuple[Array, Mask]:
     """(h, w, 3) rays of every n-th pixel, world, and those that are steep enough to compare."""
-    c = view.camera
-    u, v = np.meshgrid(np.arange(0, c.width, every), np.arange(0, c.height, every))
-    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
-    rays = local @ view.T_world_cam.R.T
+    rays = pixel_rays(view.camera)[::every, ::every] @ view.T_world_cam.R.T
     return rays, -rays[..., 2] / np.linalg.norm(rays, axis=-1) > FLATTEST
 
 
