@@ -1,14 +1,14 @@
 """Motion between two positions of an object, such as upright and turned over.
 
 SIFT features on the object have places in metres by the depth maps, so pairs of them give the
-motion by RANSAC. Where too few agree, the shapes are laid on each other from many turns. Both are
-refined together, and the outlines of the second photos judge the result.
+motion by RANSAC, which the measured surfaces refine. Where too few agree, the shapes are laid on
+each other from many turns, and the hulls of both positions tell which turn is right.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -22,7 +22,8 @@ from std_toolkit.geometry import SE3, ransac_similarity, rotation_angle, umeyama
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import skew
 from std_toolkit.poses.features import match_descriptors
-from std_toolkit.scanning.depth_maps import DepthMap, hull_depth
+from std_toolkit.scanning.depth_maps import DepthMap
+from std_toolkit.scanning.hull_coherence import HullCoherence
 from std_toolkit.scanning.masks import eroded
 from std_toolkit.scanning.measured_surface import Side, Surface
 from std_toolkit.scanning.views import Array, View
@@ -37,14 +38,15 @@ _FEATURES = 600
 _TURNS = 500
 # Part of a surface that the other must touch: the rest was seen from one position only.
 _TOUCHING = 0.75
-# Motions by shape whose distance is less than this multiple of the lowest are judged by outlines.
-# Another one fits as well if its outlines overlap by nearly as much: bulges of the hulls take 0.05
-# and more off the overlap of the right turn.
-_NEARLY, _SAME_OVERLAP, _OTHER_TURN_DEG = 2.0, 0.03, 15.0
+# Best turns of the shapes that are looked at, and that are fitted to the outlines.
+_TRIED, _FITTED = 60, 8
+# Another turn explains the outlines, too, if its mean gap is at most this multiple of the lowest,
+# and this share of a voxel.
+_AS_WELL, _OF_A_VOXEL, _OTHER_TURN_DEG = 2.0, 0.05, 15.0
 # The same for motions by features: share of the places of the best that agree with another one.
 _AS_MANY = 0.8
-# Mean overlap of the second outlines and the first surface: below, it is another object.
-_MIN_OVERLAP = 0.85
+# Share of the outlines that the hull of both may miss: beyond, it is another object.
+_MOST_MISSED = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +59,7 @@ class Turn:
         residual_m: median distance of the surfaces where both positions measured them.
         agreeing: share of these points, or of the pairs of features, that agree.
         count: number of them.
-        overlap: mean overlap of the outline of the first surface and the masks of the second.
+        missed: share of the outlines of both that the hull of both does not explain.
         ambiguous: another turn fits as well.
         difference_deg: turn between the motion by features alone and with the surfaces.
     """
@@ -67,7 +69,7 @@ class Turn:
     residual_m: float
     agreeing: float
     count: int
-    overlap: float
+    missed: float
     ambiguous: bool
     difference_deg: float | None
 
@@ -81,7 +83,7 @@ class Turn:
             else "not measured: no surface has depth from both positions",
             "turned over agreement": f"{100 * self.agreeing:.0f} % of {self.count} "
             + ("pairs of features" if self.by == "features" else "points"),
-            "turned over outline overlap": f"{self.overlap:.3f}",
+            "turned over outlines": f"{100 * (1 - self.missed):.1f} % explained by both hulls",
         }
         if self.difference_deg is not None:
             found["turned over uncertainty"] = (
@@ -119,31 +121,39 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
         except ToolkitError:
             pass  # No three pairs agree: the shape decides.
     caster = RayCaster(surface.vertices, surface.faces)
+    coherence = HullCoherence(first, second)
     points = _sampled(other, measured=True)
     if T is not None:
         alone = T
         T = _refined(T, points, surface, caster, near, p[inliers], q[inliers])
         agreeing = float(inliers.mean())
         difference = float(np.degrees(rotation_angle(alone.R.T @ T.R)))
-    else:
-        by = "shape"
-        T, ambiguous = _by_shape(_sampled(other, measured=False), surface, caster, second.views)
-        T = _refined(T, points, surface, caster, near, p[:0], q[:0])
+        if _missed(coherence, T, near) > _MOST_MISSED:
+            T = None  # Specks that look alike agreed by chance, on both sides of the object.
+    if T is None:
+        by, difference = "shape", None
+        T, ambiguous = _by_shape(
+            _sampled(other, measured=False), surface, coherence, first.grid.step
+        )
+        # The depth of plain sides is no better than the outlines.
+        refined = _refined(T, points, surface, caster, near, p[:0], q[:0])
+        if coherence.gaps(refined).mean() <= coherence.gaps(T).mean():
+            T = refined
     off = _distances(T, points, surface, caster)
     residual = float(np.median(off)) if len(off) else float("nan")
     if by == "shape":
         agreeing, count = float((off < near).mean()) if len(off) else 0.0, len(off)
-    overlap = _overlap(second.views, T, surface)
-    if overlap < _MIN_OVERLAP or residual > near:
+    missed = _missed(coherence, T, near)
+    if missed > _MOST_MISSED or (by == "features" and residual > near):
         raise ToolkitError(
-            f"no turn of the object of the first photos explains the second (outlines overlap by "
-            f"{overlap:.2f}, surfaces differ by {1000 * residual:.1f} mm)",
+            f"no turn of the object of the first photos explains the second ({100 * missed:.0f} % "
+            f"of the outlines disagree, surfaces differ by {1000 * residual:.1f} mm)",
             hint="photograph the same object again after turning it over, with a side in view that "
             "the first photos show, too",
         )
     return Turn(
         T_first_second=T, by=by, residual_m=residual, agreeing=agreeing, count=count,
-        overlap=overlap, ambiguous=ambiguous, difference_deg=difference,
+        missed=missed, ambiguous=ambiguous, difference_deg=difference,
     )  # fmt: skip
 
 
@@ -284,7 +294,7 @@ def _refined(
 
 
 def _by_shape(
-    points: Array, surface: Surface, caster: RayCaster, views: Sequence[View]
+    points: Array, surface: Surface, coherence: HullCoherence, voxel_m: float
 ) -> tuple[SE3, bool]:
     """The motion that lays one shape on the other, best of many turns; whether others do, too."""
     middle = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
@@ -302,50 +312,28 @@ def _by_shape(
             T = SE3(s.R, s.t)
         found.append((float(np.quantile(off, _TOUCHING)), T))
     found.sort(key=lambda f: f[0])
-    finer: list[tuple[float, SE3]] = []
-    for _, T in found[:60]:
-        if any(_apart(T, U) < _OTHER_TURN_DEG / 2 for _, U in finer):
-            continue
-        for _ in range(25):
-            moved = T @ points[:1500]
-            near, _ = caster.closest(moved)
-            off = np.linalg.norm(moved - near, axis=1)
-            use = off <= np.quantile(off, _TOUCHING)
-            s = umeyama(points[:1500][use], near[use].astype(np.float64), with_scale=False)
-            T = SE3(s.R, s.t)
-        finer.append((float(np.quantile(off, _TOUCHING)), T))
-        if len(finer) == 12:
-            break
-    lowest = min(error for error, _ in finer)
-    noise = 1e-3 * float(np.ptp(surface.vertices, axis=0).max())
-    # Hulls bulge differently in both positions, so outlines decide among shapes that nearly fit.
+    # Hulls bulge differently in both positions: the outlines of both decide.
     judged = sorted(
-        ((_overlap(views, T, surface), T) for e, T in finer if e < _NEARLY * lowest + noise),
-        key=lambda f: -f[0],
+        ((float(coherence.gaps(T).mean()), T) for _, T in found[:_TRIED]), key=lambda f: f[0]
     )
-    best, T = judged[0]
+    tried: list[SE3] = []
+    for _, T in judged:
+        if len(tried) < _FITTED and all(_apart(T, U) > _OTHER_TURN_DEG / 2 for U in tried):
+            tried.append(T)
+    fitted = [coherence.fitted(T) for T in tried]
+    best, T = min(((float(coherence.gaps(T).mean()), T) for T in fitted), key=lambda f: f[0])
+    limit = _AS_WELL * best + _OF_A_VOXEL * voxel_m
     ambiguous = any(
-        overlap > best - _SAME_OVERLAP and _apart(T, U) > _OTHER_TURN_DEG
-        for overlap, U in judged[1:]
+        float(coherence.gaps(U).mean()) < limit and _apart(T, U) > _OTHER_TURN_DEG for U in fitted
     )
     return T, ambiguous
+
+
+def _missed(coherence: HullCoherence, T: SE3, near: float) -> float:
+    """Share of the outlines that a motion leaves farther than a distance from the hull of both."""
+    return float((coherence.gaps(T) > near).mean())
 
 
 def _apart(a: SE3, b: SE3) -> float:
     """Angle between two rotations in degrees."""
     return float(np.degrees(rotation_angle(a.R.T @ b.R)))
-
-
-def _overlap(views: Sequence[View], T: SE3, surface: Surface) -> float:
-    """Mean intersection over union of masks and the outline of the surface in moved photos."""
-    caster = RayCaster(surface.vertices, surface.faces)
-    values = []
-    for view in views[:: max(1, len(views) // 12)]:
-        moved = replace(view, T_world_cam=T @ view.T_world_cam)
-        whole = (0, 0, view.camera.width, view.camera.height)
-        drawn = hull_depth(moved, caster, np.zeros(3), whole)[0] > 0
-        if view.hidden is not None:
-            drawn &= ~view.hidden
-        union = (drawn | view.shown).sum()
-        values.append(float((drawn & view.shown).sum() / union) if union else 0.0)
-    return float(np.mean(values))

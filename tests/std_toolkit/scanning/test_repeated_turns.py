@@ -10,6 +10,7 @@ pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3, so3_exp
+from std_toolkit.scanning.hull import hull_field
 from std_toolkit.scanning.measured_surface import Side, side_surface
 from std_toolkit.scanning.turned_over import _print_repeats, find_turn
 from std_toolkit.scanning.views import Grid, View
@@ -17,8 +18,8 @@ from tests.std_toolkit.scanning.test_turned_over import OVER, photos, plain, sta
 
 
 def without_depth(views: list[View]) -> Side:
-    grid = Grid((0.0, 0.0, 0.0), 0.01, (1, 1, 1))
-    hull = np.zeros(grid.shape, np.float32)
+    grid = Grid.around(np.array([-0.05, -0.1, 0.0]), np.array([0.1, 0.08, 0.09]), 0.0015)
+    hull = hull_field(views, grid)
     return Side(
         views=views, maps=[None] * len(views), grid=grid, hull=hull, disputed=hull,
         on_table=True, digest="",
