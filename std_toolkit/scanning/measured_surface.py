@@ -22,6 +22,7 @@ from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks import covered, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photo_polish import fit_photos
+from std_toolkit.scanning.plain_tops import levelled
 from std_toolkit.scanning.polish import averaging, fit_outlines
 from std_toolkit.scanning.posed_photos import PosedPhotos
 from std_toolkit.scanning.sensor_depth import LARGEST_DEVIATION, depth_factor, sensor_maps
@@ -177,6 +178,8 @@ def fused_surface(
         hulls = _hulls(views, grid, floors, threads)
     fused = _fused(views, layers, hulls, grid, threads)
     field = fused.field
+    if on_table:
+        field = levelled(field, fused.support, grid, views, threads=threads)
     if options.wall_m is not None:
         # The first folder shows the vessel upright.
         field, opened = hollowed(field, hulls[0], grid, sides[0][0].views, options.wall_m)

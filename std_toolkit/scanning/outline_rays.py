@@ -25,11 +25,19 @@ _FEWEST_VIEWS = 4
 
 @dataclass(frozen=True, eq=False)
 class OutlineRays:
-    """Rays through outlines, world frame, and pixels per metre at their nearest point."""
+    """Rays through outlines.
+
+    Attributes:
+        origin: (N, 3) metres, world.
+        direction: (N, 3) unit vectors.
+        px_per_m: (N,) pixels per metre at their nearest point.
+        within: deviations from which rays that enter the surface count less; None as of the others.
+    """
 
     origin: Array
     direction: Array
     px_per_m: Array
+    within: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

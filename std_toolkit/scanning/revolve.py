@@ -42,7 +42,9 @@ _ROUNDS = 6
 _FAR, _FAR_PX, _EXPLAINED = 5.0, 2.0, 0.005
 
 # Residuals beyond this many deviations count less; those beyond the last are no outline of it.
-_HUBER, _OUTSIDE = 2.0, 6.0
+# Points that were searched for from within a vessel, whose inside differs from the table, too, are
+# rather within its outline than beside it.
+_HUBER, _HUBER_WITHIN, _OUTSIDE = 2.0, 0.5, 6.0
 
 # The profile bends by this much over a step, as a deviation; corners are kept by a robust weight.
 _BEND_M = 1.5e-4
@@ -104,7 +106,7 @@ def fit_outline_points(
     Raises:
         ToolkitError: as `fit_revolution`.
     """
-    rays = outline_rays(views, points)
+    rays = replace(outline_rays(views, points), within=_HUBER_WITHIN)
     top = float(heights[-1])
     count = int(np.clip(top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     line = np.interp(np.linspace(0, top, count), heights, radii)
@@ -280,9 +282,10 @@ def _system(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Arra
     gap = ray_gaps(rays, state)
     scale = rays.px_per_m / sigma
     residual = gap.distance * scale
-    weight = np.where(
-        np.abs(residual) < _HUBER, 1.0, _HUBER / np.maximum(np.abs(residual), 1e-9)
-    ) * (np.abs(residual) < 4 * _OUTSIDE)
+    limit = np.where(residual < 0, rays.within or _HUBER, _HUBER)
+    weight = np.minimum(1, limit / np.maximum(np.abs(residual), 1e-9)) * (
+        np.abs(residual) < 4 * _OUTSIDE
+    )
     J = np.zeros((len(residual), count + 5))
     rows = np.arange(len(residual))
     J[rows, gap.index] += (1 - gap.share) * gap.slope
