@@ -44,6 +44,8 @@ from std_toolkit.scene.scene import Scene  # noqa: E402
 
 # Thickness of the walls of open vessels at the rim, as calipers measure it.
 WALLS_MM = {"mug_3": 3.4, "bowl_2": 3.2}
+# What does not stand flat is photographed from below, too.
+TURNED_OVER = ("camera_4", "car_6")
 
 
 def colored_meshes(work: Path) -> dict[str, Path]:
@@ -68,16 +70,20 @@ def scanned_mesh(item: TrueObject, mesh: Path, work: Path, args: argparse.Namesp
     made = work / "models" / name / f"{name}.obj"
     if made.exists():
         return made
-    make_turntable(
-        TurntableOptions(
-            mesh=mesh, out=photos, up="y", views=args.views,
-            width=args.size[0], height=args.size[1],
-            material="glass" if glass else "sprayed" if item.material == "specular" else "own",
-        )
-    )  # fmt: skip
+    over = photos.with_name(f"{photos.name}_flipped")
+    turned = name in TURNED_OVER
+    for out in (photos, over)[: 1 + turned]:
+        make_turntable(
+            TurntableOptions(
+                mesh=mesh, out=out, up="y", views=args.views, flipped=out == over,
+                width=args.size[0], height=args.size[1],
+                material="glass" if glass else "sprayed" if item.material == "specular" else "own",
+            )
+        )  # fmt: skip
     done = scan(
         ScanOptions(
             photos=photos / "photos", board=photos / "board.json", out=work / "scans" / name,
+            flipped=over / "photos" if turned else None,
             revolve=glass, wall_mm=WALLS_MM.get(name), jobs=JobOptions(workers=args.threads),
         )
     )  # fmt: skip
