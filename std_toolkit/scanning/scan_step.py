@@ -166,10 +166,11 @@ def _joined(
             "T": turn.T_first_second.matrix(),
             "ambiguous": np.array(turn.ambiguous),
             "by_shape": np.array(turn.by == "shape"),
+            "doubted": np.array(turn.doubted),
             "facts": np.array(list(turn.facts().items())),
         }
 
-    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 3"), make)
+    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 4"), make)
     lap("turn")
     posed.facts.update({f"{k} of the flipped": v for k, v in over.facts.items()})
     posed.facts.update({str(k): str(v) for k, v in a["facts"]})
@@ -185,6 +186,12 @@ def _joined(
         posed.warnings.append(
             "too little print is in both folders, so the turn is from shapes alone and inexact: "
             "stick a few small, different marks on the sides and photograph both positions again"
+        )
+        logger.warning("%s", posed.warnings[-1])
+    if a["doubted"]:
+        posed.warnings.append(
+            "some outlines of both folders disagree, so the turn is inexact: look at the masks, "
+            "which lack parts of the object or have too much, and correct them with --masks"
         )
         logger.warning("%s", posed.warnings[-1])
     sides = [(first, SE3.identity()), (second, SE3.from_matrix(a["T"]))]

@@ -45,8 +45,11 @@ _TRIED, _FITTED = 60, 8
 _AS_WELL, _OF_A_VOXEL, _OTHER_TURN_DEG = 2.0, 0.05, 15.0
 # The same for motions by features: share of the places of the best that agree with another one.
 _AS_MANY = 0.8
-# Share of the outlines that the hull of both may miss: beyond, it is another object.
-_MOST_MISSED = 0.05
+# Share of the outlines that the hull of both misses from which a motion is doubted, and from which
+# it is another object. Masks that lack a part of the object take some off a right motion, too.
+_DOUBTED, _MOST_MISSED = 0.05, 0.25
+# Share of its gaps at which a motion by shape is preferred to one by features.
+_CLEARLY = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +75,11 @@ class Turn:
     missed: float
     ambiguous: bool
     difference_deg: float | None
+
+    @property
+    def doubted(self) -> bool:
+        """Whether more of the outlines disagree than with good masks."""
+        return self.missed > _DOUBTED
 
     def facts(self) -> dict[str, Any]:
         """Name and value for the report."""
@@ -128,17 +136,19 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
         T = _refined(T, points, surface, caster, near, p[inliers], q[inliers])
         agreeing = float(inliers.mean())
         difference = float(np.degrees(rotation_angle(alone.R.T @ T.R)))
-        if _missed(coherence, T, near) > _MOST_MISSED:
-            T = None  # Specks that look alike agreed by chance, on both sides of the object.
-    if T is None:
-        by, difference = "shape", None
-        T, ambiguous = _by_shape(
+    if T is None or _missed(coherence, T, near) > _DOUBTED:
+        shaped, several = _by_shape(
             _sampled(other, measured=False), surface, coherence, first.grid.step
         )
         # The depth of plain sides is no better than the outlines.
-        refined = _refined(T, points, surface, caster, near, p[:0], q[:0])
-        if coherence.gaps(refined).mean() <= coherence.gaps(T).mean():
-            T = refined
+        refined = _refined(shaped, points, surface, caster, near, p[:0], q[:0])
+        if coherence.gaps(refined).mean() <= coherence.gaps(shaped).mean():
+            shaped = refined
+        # Specks that look alike may agree by chance, on both sides of the object.
+        least = np.inf if T is None else _CLEARLY * coherence.gaps(T).mean()
+        if coherence.gaps(shaped).mean() < least:
+            T, ambiguous, by, difference = shaped, several, "shape", None
+    assert T is not None
     off = _distances(T, points, surface, caster)
     residual = float(np.median(off)) if len(off) else float("nan")
     if by == "shape":
