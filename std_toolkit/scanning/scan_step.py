@@ -170,7 +170,7 @@ def _joined(
             "facts": np.array(list(turn.facts().items())),
         }
 
-    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 4"), make)
+    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 5"), make)
     lap("turn")
     posed.facts.update({f"{k} of the flipped": v for k, v in over.facts.items()})
     posed.facts.update({str(k): str(v) for k, v in a["facts"]})

@@ -1,8 +1,8 @@
 """Motion between two positions of an object, such as upright and turned over.
 
 SIFT features on the object have places in metres by the depth maps, so pairs of them give the
-motion by RANSAC, which the measured surfaces refine. Where too few agree, the shapes are laid on
-each other from many turns, and the hulls of both positions tell which turn is right.
+motion by RANSAC, which the measured surfaces refine. Where too few agree, the hulls of both
+positions tell which of many turns is right.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, ransac_similarity, rotation_angle, umeyama
+from std_toolkit.geometry import SE3, ransac_similarity, rotation_angle
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import skew
 from std_toolkit.poses.features import match_descriptors
@@ -34,12 +33,8 @@ _AGREEMENT = 0.012
 # Places on the object, apart by this share of it, that a motion by features needs.
 _MIN_PLACES, _PLACE = 12, 0.02
 _FEATURES = 600
-# Turns from which shapes are laid on each other.
-_TURNS = 500
-# Part of a surface that the other must touch: the rest was seen from one position only.
-_TOUCHING = 0.75
-# Best turns of the shapes that are looked at, and that are fitted to the outlines.
-_TRIED, _FITTED = 60, 8
+# Turns that are looked at without print, and the best of them that are fitted to the outlines.
+_TURNS, _FITTED = 1500, 12
 # Another turn explains the outlines, too, if its mean gap is at most this multiple of the lowest,
 # and this share of a voxel.
 _AS_WELL, _OF_A_VOXEL, _OTHER_TURN_DEG = 2.0, 0.05, 15.0
@@ -306,29 +301,15 @@ def _refined(
 def _by_shape(
     points: Array, surface: Surface, coherence: HullCoherence, voxel_m: float
 ) -> tuple[SE3, bool]:
-    """The motion that lays one shape on the other, best of many turns; whether others do, too."""
+    """The motion with the least gaps, of many turns, and whether another turn has as few."""
     middle = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    few = points[:250]
-    tree = cKDTree(surface.vertices)
-    found: list[tuple[float, SE3]] = []
-    for R in Rotation.random(_TURNS, random_state=0).as_matrix().astype(np.float64):
-        T = SE3(R, middle - R @ centre)
-        for _ in range(8):
-            moved = T @ few
-            off, index = tree.query(moved)
-            use = off <= np.quantile(off, _TOUCHING)
-            s = umeyama(few[use], surface.vertices[index[use]], with_scale=False)
-            T = SE3(s.R, s.t)
-        found.append((float(np.quantile(off, _TOUCHING)), T))
-    found.sort(key=lambda f: f[0])
-    # Hulls bulge differently in both positions: the outlines of both decide.
-    judged = sorted(
-        ((float(coherence.gaps(T).mean()), T) for _, T in found[:_TRIED]), key=lambda f: f[0]
-    )
+    turns = Rotation.random(_TURNS, random_state=0).as_matrix().astype(np.float64)
+    motions = [SE3(R, middle - R @ centre) for R in turns]
+    judged = sorted(((float(coherence.gaps(T).mean()), T) for T in motions), key=lambda f: f[0])
     tried: list[SE3] = []
     for _, T in judged:
-        if len(tried) < _FITTED and all(_apart(T, U) > _OTHER_TURN_DEG / 2 for U in tried):
+        if len(tried) < _FITTED and all(_apart(T, U) > _OTHER_TURN_DEG for U in tried):
             tried.append(T)
     fitted = [coherence.fitted(T) for T in tried]
     best, T = min(((float(coherence.gaps(T).mean()), T) for T in fitted), key=lambda f: f[0])

@@ -126,6 +126,22 @@ def test_a_plain_block_is_ambiguous_and_another_object_refused(tmp_path: Path) -
         find_turn(first, surface, third, side_surface(third, 70, 1))
 
 
+@pytest.mark.slow
+def test_a_plain_block_with_a_step_is_found_by_its_outlines(tmp_path: Path) -> None:
+    mesh = dented_block()
+    T = standing(mesh, OVER)
+    first = side(photos(mesh, SE3.identity(), plain), tmp_path / "a")
+    second = side(photos(mesh, T, plain), tmp_path / "b")
+    surface, other = (side_surface(s, 70, 1) for s in (first, second))
+    turn = find_turn(first, surface, second, other)
+    assert turn.by == "shape"
+    assert not turn.ambiguous
+    assert not turn.doubted
+    off = turn.T_first_second @ T
+    assert np.degrees(rotation_angle(off.R)) < 1.0
+    assert np.linalg.norm(off @ np.array([0, 0, 0.03]) - [0, 0, 0.03]) < 0.001
+
+
 def folders(tmp_path: Path) -> ScanOptions:
     for name, stems in (("photos", ("1", "2")), ("over", ("2", "3"))):
         (tmp_path / name).mkdir()
