@@ -18,7 +18,13 @@ from std_toolkit.geometry import SE3, Camera, rotation_angle, so3_exp
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.images import write_color
 from std_toolkit.scanning.depth_maps import depth_maps
-from std_toolkit.scanning.measured_surface import Side, fused_surface, measure_side, side_surface
+from std_toolkit.scanning.measured_surface import (
+    Side,
+    Surface,
+    fused_surface,
+    measure_side,
+    side_surface,
+)
 from std_toolkit.scanning.object_masks import both_positions
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos import Photos
@@ -91,14 +97,23 @@ def standing(mesh: trimesh.Trimesh, turn: SE3) -> SE3:
     return SE3(np.eye(3), np.array([0.03, -0.02, -low])) @ turn
 
 
+def positions(
+    mesh: trimesh.Trimesh, T: SE3, color: Callable[[Array], Array], folder: Path
+) -> tuple[list[Side], list[Surface]]:
+    """The mesh as it is and moved, each photographed from all sides, and its surface."""
+    sides = [
+        side(photos(mesh, motion, color), folder / name)
+        for name, motion in (("a", SE3.identity()), ("b", T))
+    ]
+    return sides, [side_surface(s, 70, 1) for s in sides]
+
+
 @pytest.mark.slow
 def test_the_turn_is_found_by_features_and_the_underside_is_real(tmp_path: Path) -> None:
     mesh = dented_block()
     T = standing(mesh, OVER)
-    first = side(photos(mesh, SE3.identity(), painted), tmp_path / "a")
-    second = side(photos(mesh, T, painted), tmp_path / "b")
-    surfaces = [side_surface(s, 70, 1) for s in (first, second)]
-    turn = find_turn(first, surfaces[0], second, surfaces[1])
+    (first, second), (surface, other) = positions(mesh, T, painted, tmp_path)
+    turn = find_turn(first, surface, second, other)
     assert turn.by == "features"
     off = turn.T_first_second @ T
     assert np.degrees(rotation_angle(off.R)) < 0.5
@@ -114,9 +129,7 @@ def test_the_turn_is_found_by_features_and_the_underside_is_real(tmp_path: Path)
 @pytest.mark.slow
 def test_a_plain_block_is_ambiguous_and_another_object_refused(tmp_path: Path) -> None:
     block = trimesh.creation.box((0.08, 0.05, 0.06)).apply_translation([0, 0, 0.03])
-    first = side(photos(block, SE3.identity(), plain), tmp_path / "a")
-    second = side(photos(block, standing(block, OVER), plain), tmp_path / "b")
-    surface, other = (side_surface(s, 70, 1) for s in (first, second))
+    (first, second), (surface, other) = positions(block, standing(block, OVER), plain, tmp_path)
     turn = find_turn(first, surface, second, other)
     assert turn.by == "shape"
     assert turn.ambiguous
@@ -130,9 +143,7 @@ def test_a_plain_block_is_ambiguous_and_another_object_refused(tmp_path: Path) -
 def test_a_plain_block_with_a_step_is_found_by_its_outlines(tmp_path: Path) -> None:
     mesh = dented_block()
     T = standing(mesh, OVER)
-    first = side(photos(mesh, SE3.identity(), plain), tmp_path / "a")
-    second = side(photos(mesh, T, plain), tmp_path / "b")
-    surface, other = (side_surface(s, 70, 1) for s in (first, second))
+    (first, second), (surface, other) = positions(mesh, T, plain, tmp_path)
     turn = find_turn(first, surface, second, other)
     assert turn.by == "shape"
     assert not turn.ambiguous
