@@ -58,9 +58,8 @@ def levelled(
     for n in range(1, count + 1):
         if areas[n] < _SMALLEST * covers.sum():
             continue
-        region = ndimage.binary_fill_holes(labels == n)
         # Depth that is only just sure, at the edge, still bulges towards the hull.
-        region = ndimage.binary_dilation(region, iterations=_EDGE, mask=covers)
+        region = ndimage.binary_dilation(labels == n, iterations=_EDGE, mask=covers)
         around = ndimage.binary_dilation(region) & ~region
         if (sure & covers)[around].mean() < _ENCLOSED:
             continue

@@ -61,6 +61,16 @@ def test_a_knob_that_outlines_show_stays() -> None:
     assert np.array_equal(levelled(field, support, GRID, views), field)
 
 
+def test_what_is_measured_within_a_plain_lid_stays() -> None:
+    field, support, views = measured(can(knob=False))
+    z, r = places()
+    logo = r < 0.008
+    field = np.where(logo, np.maximum(field, z - TOP - 0.003), field).astype(np.float32)
+    found = levelled(field, np.where(logo, np.float32(20), support), GRID, views)
+    assert (found[(r < 0.003) & (z > STEP) & (z < TOP + 0.002)] < 0).all()
+    assert (found[(np.abs(r - 0.015) < 0.002) & (z > TOP + 0.004)] > 0).all()
+
+
 def test_a_top_that_nothing_measured_surrounds_stays() -> None:
     field, support, views = measured(can(knob=False))
     assert np.array_equal(levelled(field, 0 * support, GRID, views), field)
