@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from std_toolkit.scanning.hull import column_tops
 from std_toolkit.scanning.views import Grid, Mask, View
 
 # Slope of a surface that may be the cone above the rim, beyond that of the flattest look.
@@ -82,9 +83,8 @@ def _flattest(views: list[View]) -> float:
 
 def _opening(inside: Mask, slope: float) -> Mask:
     """(h, w) columns below the rim: the top of the hull rises no steeper than photos look."""
-    depth = inside.shape[0]
-    covers = inside.any(axis=0)
-    top = np.where(covers, depth - 1 - inside[::-1].argmax(axis=0), 0).astype(np.float32)
+    index, covers = column_tops(inside)
+    top = np.where(covers, index, 0).astype(np.float32)
     weight = ndimage.gaussian_filter(covers.astype(np.float32), _SMOOTH)
     smooth = ndimage.gaussian_filter(top, _SMOOTH) / np.maximum(weight, 1e-3)
     # At the outer edge the weights change, and with them the place that is averaged.

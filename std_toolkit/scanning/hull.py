@@ -131,6 +131,12 @@ def surface_of(field: NDArray[np.float32], grid: Grid) -> tuple[Array, NDArray[n
     return placed, faces
 
 
+def column_tops(inside: Mask) -> tuple[NDArray[np.int64], Mask]:
+    """Index (h, w) of the highest true voxel of each column, and which columns have one."""
+    index = len(inside) - 1 - inside[::-1].argmax(axis=0)
+    return index, np.asarray(inside.any(axis=0))
+
+
 def largest_component(inside: Mask) -> Mask:
     """The largest connected part of the true voxels."""
     from scipy.ndimage import label

@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from std_toolkit.geometry import SE3
 from std_toolkit.scanning.measured_surface import Side
-from std_toolkit.scanning.views import Array, Grid
+from std_toolkit.scanning.views import Array
 
 # Photos of each position, rays in each, and places along a ray.
 _PHOTOS, _RAYS, _PLACES = 16, 100, 96
-# Rays begin so many pixels within the outline: farther inside, they meet any hull.
+# Least and largest distance of the sampled pixels from the outline: deeper in a mask, rays meet any
+# hull.
 _WITHIN_PX = (1.0, 12.0)
 # Larger gaps say no more than this, in metres; errors of masks are about as large as the second.
 _MOST_M, _USUAL_M = 0.02, 1e-4
@@ -39,19 +40,25 @@ class HullCoherence:
     def __init__(self, first: Side, second: Side) -> None:
         self._hulls = [(_distance(side), side.grid) for side in (first, second)]
         self._rays = [
-            _Rays(side, hull) for side, hull in zip((first, second), self._hulls, strict=True)
+            _Rays(side, hull) for side, (hull, _) in zip((first, second), self._hulls, strict=True)
         ]
-        low, high = _corners(first.grid)
+        low, high = first.grid.box
         self._middle = (low + high) / 2
 
     def gaps(self, T_first_second: SE3) -> Array:
         """(N,) metres by which each ray misses what is in both hulls; 0 where it meets it."""
         motions = (T_first_second.inverse(), T_first_second)
         found = [
-            rays.gaps(_at(self._hulls[1 - n], motion @ rays.points))
-            for n, (rays, motion) in enumerate(zip(self._rays, motions, strict=True))
+            rays.gaps(grid.at(hull, motion @ rays.points))
+            for rays, (hull, grid), motion in zip(
+                self._rays, reversed(self._hulls), motions, strict=True
+            )
         ]
         return np.minimum(np.concatenate(found), _MOST_M)
+
+    def mean_gap(self, T_first_second: SE3) -> float:
+        """Mean of the gaps, metres."""
+        return float(self.gaps(T_first_second).mean())
 
     def fitted(self, T_first_second: SE3) -> SE3:
         """The motion near another one with the least gaps."""
@@ -80,9 +87,9 @@ class HullCoherence:
 class _Rays:
     """Places along rays through the outline that are in the hull of their own photos, or near."""
 
-    def __init__(self, side: Side, hull: tuple[NDArray[np.float32], Grid]) -> None:
+    def __init__(self, side: Side, hull: NDArray[np.float32]) -> None:
         rng = np.random.default_rng(0)
-        low, high = _corners(side.grid)
+        low, high = side.grid.box
         middle, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
         parts = []
         for view in side.views[:: max(1, len(side.views) // _PHOTOS)]:
@@ -95,7 +102,7 @@ class _Rays:
             along = np.linspace(away - half, away + half, _PLACES)
             parts.append(view.centre + along[None, :, None] * d[:, None])
         places = np.concatenate(parts)
-        own = _at(hull, places.reshape(-1, 3)).reshape(places.shape[:2])
+        own = side.grid.at(hull, places.reshape(-1, 3)).reshape(places.shape[:2])
         # A ray beside the hull of its own photos, as through a shadow in the mask, says nothing.
         sure = own.min(axis=1) < 0
         places, own = places[sure], own[sure]
@@ -120,14 +127,3 @@ def _distance(side: Side) -> NDArray[np.float32]:
     # The surface is half a voxel from the voxels on both of its sides.
     signed = np.where(inside, 0.5 - deep, away - 0.5) * side.grid.step
     return ndimage.gaussian_filter(signed.astype(np.float32), 0.7)
-
-
-def _corners(grid: Grid) -> tuple[Array, Array]:
-    low = np.asarray(grid.origin, np.float64)
-    return low, low + grid.step * np.array(grid.shape[::-1])
-
-
-def _at(hull: tuple[NDArray[np.float32], Grid], points: Array) -> NDArray[np.float32]:
-    field, grid = hull
-    index = ((points - np.asarray(grid.origin)) / grid.step)[:, ::-1].T
-    return np.asarray(ndimage.map_coordinates(field, index, order=1, mode="nearest"), np.float32)

@@ -319,8 +319,6 @@ def _with_disputed(
 
 def _at(values: NDArray[np.float32], grid: Grid, points: Array) -> NDArray[np.float32]:
     """Largest value of the voxels around points (N, 3)."""
-    from scipy.ndimage import map_coordinates, maximum_filter
+    from scipy.ndimage import maximum_filter
 
-    index = ((points - np.asarray(grid.origin)) / grid.step)[:, ::-1].T
-    wide = maximum_filter(values, 3)
-    return np.asarray(map_coordinates(wide, index, order=1, mode="nearest"), np.float32)
+    return grid.at(maximum_filter(values, 3), points)

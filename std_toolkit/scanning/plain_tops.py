@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.hull import surface_of
+from std_toolkit.scanning.hull import column_tops, surface_of
 from std_toolkit.scanning.masks import covered, eroded
 from std_toolkit.scanning.views import Grid, Mask, View, in_threads
 
@@ -75,10 +75,8 @@ def _tops(
     field: NDArray[np.float32], support: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], Mask]:
     """(h, w) height of the surface in voxels, -1 for none, and where it is measured."""
-    inside = field < 0
-    depth = len(inside)
-    index = depth - 1 - inside[::-1].argmax(axis=0)
-    covers = inside.any(axis=0)
+    depth = len(field)
+    index, covers = column_tops(field < 0)
     upper = np.minimum(index + 1, depth - 1)
     a = np.take_along_axis(field, index[None], 0)[0]
     b = np.take_along_axis(field, upper[None], 0)[0]

@@ -137,13 +137,10 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
         )
         # The depth of plain sides is no better than the outlines.
         refined = _refined(shaped, points, surface, caster, near, p[:0], q[:0])
-        if coherence.gaps(refined).mean() <= coherence.gaps(shaped).mean():
-            shaped = refined
+        shaped = min(refined, shaped, key=coherence.mean_gap)
         # Specks that look alike may agree by chance, on both sides of the object.
-        least = np.inf if T is None else _CLEARLY * coherence.gaps(T).mean()
-        if coherence.gaps(shaped).mean() < least:
+        if T is None or coherence.mean_gap(shaped) < _CLEARLY * coherence.mean_gap(T):
             T, ambiguous, by, difference = shaped, several, "shape", None
-    assert T is not None
     off = _distances(T, points, surface, caster)
     residual = float(np.median(off)) if len(off) else float("nan")
     if by == "shape":
@@ -306,16 +303,15 @@ def _by_shape(
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     turns = Rotation.random(_TURNS, random_state=0).as_matrix().astype(np.float64)
     motions = [SE3(R, middle - R @ centre) for R in turns]
-    judged = sorted(((float(coherence.gaps(T).mean()), T) for T in motions), key=lambda f: f[0])
     tried: list[SE3] = []
-    for _, T in judged:
+    for T in sorted(motions, key=coherence.mean_gap):
         if len(tried) < _FITTED and all(_apart(T, U) > _OTHER_TURN_DEG for U in tried):
             tried.append(T)
     fitted = [coherence.fitted(T) for T in tried]
-    best, T = min(((float(coherence.gaps(T).mean()), T) for T in fitted), key=lambda f: f[0])
-    limit = _AS_WELL * best + _OF_A_VOXEL * voxel_m
+    gaps = [coherence.mean_gap(T) for T in fitted]
+    T, limit = fitted[int(np.argmin(gaps))], _AS_WELL * min(gaps) + _OF_A_VOXEL * voxel_m
     ambiguous = any(
-        float(coherence.gaps(U).mean()) < limit and _apart(T, U) > _OTHER_TURN_DEG for U in fitted
+        gap < limit and _apart(T, U) > _OTHER_TURN_DEG for gap, U in zip(gaps, fitted, strict=True)
     )
     return T, ambiguous
 

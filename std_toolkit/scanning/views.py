@@ -105,6 +105,19 @@ class Grid:
         """World points (N, 3) of indices (N, 3) in the order z, y, x."""
         return np.asarray(self.origin) + index[:, ::-1] * self.step
 
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Corners (3,) of the box of all voxels, world."""
+        low = np.asarray(self.origin, np.float64)
+        return low, low + np.array(self.shape[::-1]) * self.step
+
+    def at(self, values: NDArray[np.float32], points: Array) -> NDArray[np.float32]:
+        """Values (N,) of the voxels interpolated at world points (N, 3)."""
+        from scipy.ndimage import map_coordinates
+
+        index = ((points - np.asarray(self.origin)) / self.step)[:, ::-1].T
+        return np.asarray(map_coordinates(values, index, order=1, mode="nearest"), np.float32)
+
 
 def in_threads(
     fn: Callable[[Item], Result], items: Sequence[Item], *, threads: int
