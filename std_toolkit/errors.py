@@ -160,7 +160,9 @@ def _parts(hint: Any) -> Iterator[Any]:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy numbers and arrays as Python values, which print readably."""
+    """NumPy numbers, arrays and paths as Python values, which print readably."""
+    if isinstance(value, Path):
+        return str(value)
     if hasattr(value, "tolist"):
         return value.tolist()
     if type(value) in (list, tuple):

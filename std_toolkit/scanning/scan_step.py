@@ -68,11 +68,11 @@ def scan(options: ScanOptions) -> Scan:
     if options.flipped is not None:
         posed, views, sides = _joined(options, engine, work, threads, lap)
     elif options.revolve:
-        posed = _posed(options, stages, work, lap)
+        posed = _posed(options, _photos(options, work), stages, work, lap)
         vessel, views = _vessel(options, posed, stages, threads)
         lap("masks")
     else:
-        posed, views = _prepared(options, stages, work, threads, lap)
+        posed, views = _prepared(options, _photos(options, work), stages, work, threads, lap)
     if vessel is not None:
         vertices, faces, support = _revolved(vessel, posed)
     else:
@@ -107,15 +107,19 @@ def scan(options: ScanOptions) -> Scan:
     return result
 
 
-def _posed(
-    options: ScanOptions, stages: Stages, work: Path, lap: Callable[[str], None]
-) -> PosedPhotos:
-    """Photos of one position with poses."""
+def _photos(options: ScanOptions, work: Path) -> photo_files.Photos:
+    """Photos of one position: of a folder, a video or a scene."""
     if photo_files.is_scene(options.photos):
-        found = photo_files.scene_photos(options.photos, work, longest=options.image_size)
-    else:
-        folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
-        found = photo_files.find_photos(folder, work, longest=options.image_size)
+        return photo_files.scene_photos(options.photos, work, longest=options.image_size)
+    folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
+    return photo_files.find_photos(folder, work, longest=options.image_size)
+
+
+def _posed(
+    options: ScanOptions, found: photo_files.Photos, stages: Stages, work: Path,
+    lap: Callable[[str], None],
+) -> PosedPhotos:  # fmt: skip
+    """Photos of one position with poses."""
     files = [*found.paths, *([] if found.sensor is None else found.sensor.paths())]
     inputs = digest_of([digest_file(p) for p in files], [p.name for p in files])
     posed = _poses(options, found, stages, work, inputs)
@@ -124,10 +128,11 @@ def _posed(
 
 
 def _prepared(
-    options: ScanOptions, stages: Stages, work: Path, threads: int, lap: Callable[[str], None]
-) -> tuple[PosedPhotos, list[View]]:
+    options: ScanOptions, found: photo_files.Photos, stages: Stages, work: Path, threads: int,
+    lap: Callable[[str], None],
+) -> tuple[PosedPhotos, list[View]]:  # fmt: skip
     """Photos of one position with poses, and with masks."""
-    posed = _posed(options, stages, work, lap)
+    posed = _posed(options, found, stages, work, lap)
     views = object_masks(options, posed, stages, threads)
     lap("masks")
     return posed, views
@@ -142,18 +147,20 @@ def _joined(
         The first photos with the facts of both, all views in their world with names that tell the
         folder, and both sides with the motions into it.
     """
+    parts, names = both_positions(options), ("", "flipped")
+    for name in names:
+        (work / name).mkdir(exist_ok=True)
+    # Photos of both are looked for before any is measured, which takes minutes.
+    photos = [_photos(part, work / name) for part, name in zip(parts, names, strict=True)]
     both = []
-    for part, label, name in zip(
-        both_positions(options), options.labels(), ("", "flipped"), strict=True
-    ):
+    for part, found, label, name in zip(parts, photos, options.labels(), names, strict=True):
         folder = work / name
-        folder.mkdir(exist_ok=True)
         stages = Stages(folder)
 
         def told(stage: str, name: str = name) -> None:
             lap(f"{stage} of the flipped" if name else stage)
 
-        posed, views = _prepared(part, stages, folder, threads, told)
+        posed, views = _prepared(part, found, stages, folder, threads, told)
         side = measure_side(part, posed, views, engine, stages, threads, told)
         named = [replace(v, name=f"{label}/{v.name}") for v in side.views]
         both.append((posed, replace(side, views=named)))
