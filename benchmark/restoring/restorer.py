@@ -140,7 +140,8 @@ class Restorer:
 
         The method works at its own size. Its answer is brought to the camera's size, guided by
         colour. Pixels that the method trusts, and whose measurement is within 1.5 cm of the
-        restored depth around them, keep the sensor's depth as measured.
+        restored depth around them, keep the sensor's depth as measured; of a method without
+        confidence, those within 3 cm.
 
         Args:
             color: (H, W, 3) uint8 RGB.

@@ -24,6 +24,11 @@ _EDGE = 0.015
 # opaque objects: 0.7 %, at 26.1 mm on glass and metal; 1 cm and 0.5 give 3.0 % and 23.8 mm.
 _NEAR, _TRUSTED = 0.015, 0.2
 
+# The same for methods without confidence, chosen likewise: with 3 cm DFNet spoils 0.2 and 0.8 % of
+# such pixels (objects as they fell, and upright), with 1.5 cm 1.4 and 3.3 %; its error on glass and
+# metal is 0.6 to 1.1 mm larger.
+_NEAR_ALONE = 0.03
+
 _BEYOND = 1e6  # metres, farther than anything
 
 # What counts as much: a difference in colour (of 255), and a distance in pixels of the answer.
@@ -168,7 +173,8 @@ def to_full_size(
         found[smooth] = enlarge(depth, cv2.INTER_LINEAR)[smooth]
         if confidence is not None:
             confidence = enlarge(confidence, cv2.INTER_LINEAR)
-    believed = (sensor > 0) & (sensor > near - _NEAR) & (sensor < far + _NEAR)
+    reach = _NEAR_ALONE if confidence is None else _NEAR
+    believed = (sensor > 0) & (sensor > near - reach) & (sensor < far + reach)
     if confidence is not None:
         believed &= confidence >= _TRUSTED
     return FullSize(np.where(believed, sensor, found), believed, confidence)

@@ -61,6 +61,14 @@ def test_a_pixel_far_from_all_that_was_restored_around_it_is_not_believed():
     assert at_full_size(sensor, restored(step(), 1.0))[30, 31] == np.float32(0.6)
 
 
+def test_a_method_without_confidence_keeps_a_sensor_that_is_within_3_cm_of_it():
+    sensor = plane() + np.float32(0.025)
+    assert np.array_equal(at_full_size(sensor, restored(plane())), sensor)
+    assert not np.array_equal(at_full_size(sensor, restored(plane(), 0.9)), sensor)
+    farther = sensor + np.float32(0.01)
+    assert not np.array_equal(at_full_size(farther, restored(plane())), farther)
+
+
 def test_where_there_is_no_answer_there_is_no_depth():
     answer = restored(step(), 0.0)
     answer.depth[:50] = np.nan
