@@ -6,9 +6,9 @@ For each test: RMSE in mm and share of pixels within 5 % on specular and transpa
 protocol `strict`, of every filling and of SwinDRNet, NLSPN and DFNet; and how often good depth is
 spoiled: the share of pixels of opaque objects whose sensor depth is within 5 mm of the truth and
 whose restored depth is more than 10 mm away, of the network's own map and of what `std-restore`
-returns. Fewer than ten frames are listed one by one. DIR holds METHOD-compact.safetensors; without
-it, shipped weights. Weights are chosen elsewhere, by simulated validation scenes: this script only
-judges them.
+returns; the last also of the surroundings of the objects. Fewer than ten frames are listed one by
+one. DIR holds METHOD-compact.safetensors; without it, shipped weights. Weights are chosen
+elsewhere, by simulated validation scenes: this script only judges them.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ NETWORKS = ("swindrnet", "nlspn", "dfnet")
 GOOD_M, SPOILED_M = 0.005, 0.010
 
 
-def spoiled(restored: np.ndarray, frame: DepthFrame) -> tuple[int, int]:
-    """Good pixels of opaque objects, and how many of them end far from the truth."""
+def spoiled(restored: np.ndarray, frame: DepthFrame, where: np.ndarray) -> tuple[int, int]:
+    """Good pixels of `where` (H, W), and how many of them end far from the truth."""
     size = (restored.shape[1], restored.shape[0])
     sensor, true = resize_nearest(frame.depth_raw, size), resize_nearest(frame.depth_true, size)
-    opaque = resize_nearest(frame.mask_of(Material.RAW, Material.DIFFUSE), size)
-    good = opaque & (true > 0) & (sensor > 0) & (np.abs(sensor - true) <= GOOD_M)
+    good = (
+        resize_nearest(where, size) & (true > 0) & (sensor > 0) & (np.abs(sensor - true) <= GOOD_M)
+    )
     return int(good.sum()), int((np.abs(restored - true)[good] > SPOILED_M).sum())
 
 
@@ -54,11 +55,14 @@ def rows_of(name: str, restorer: Restorer, frame: DepthFrame) -> dict[str, objec
         # The first size is that of the tables of `std-bench`; the own size of the frame follows.
         if row.subset == "specular+transparent" and "rmse" not in found:
             found |= {"rmse": 1000 * row.errors.rmse, "d105": 100 * row.errors.d105}
-    found["good"], found["spoiled"] = spoiled(answer.depth, frame)
+    opaque = frame.mask_of(Material.RAW, Material.DIFFUSE)
+    found["good"], found["spoiled"] = spoiled(answer.depth, frame, opaque)
     if name in NETWORKS:
         color = resize_nearest(frame.color, frame.depth_raw.shape[::-1])
         whole = to_full_size(frame.depth_raw, answer, color)
-        found["whole_good"], found["whole_spoiled"] = spoiled(whole.depth, frame)
+        found["whole_good"], found["whole_spoiled"] = spoiled(whole.depth, frame, opaque)
+        around = ~frame.mask_of(*Material)
+        found["around_good"], found["around_spoiled"] = spoiled(whole.depth, frame, around)
     return found
 
 
@@ -93,9 +97,10 @@ def main() -> None:
             [c for c in table.columns if c.endswith(("good", "spoiled"))]
         ].sum()
         mean["spoiled %"] = 100 * sums["spoiled"] / sums["good"].clip(lower=1)
-        if "whole_good" in sums:
-            shares = 100 * sums["whole_spoiled"] / sums["whole_good"].clip(lower=1)
-            mean["spoiled, std-restore %"] = shares.where(sums["whole_good"] > 0)
+        for part, title in (("whole", "std-restore"), ("around", "surroundings")):
+            if f"{part}_good" in sums:
+                shares = 100 * sums[f"{part}_spoiled"] / sums[f"{part}_good"].clip(lower=1)
+                mean[f"spoiled, {title} %"] = shares.where(sums[f"{part}_good"] > 0)
         print(mean.round(2).to_string())
         if count < 10:
             print(table.pivot_table(index="method", columns="frame", values=["rmse", "d105"],

@@ -103,6 +103,9 @@ class SwinDRNetLoss:
         confidence: weight of the cross entropy between the confidence and whether the sensor is
             within 1 cm of the truth, weighed by foreground and background as all parts. The
             published network learns its confidence from the final depth alone.
+        near: metres; pixels farther away than this count (near / g)^2, as much as a stereo camera
+            can tell there. Without it the error of a wall metres away, which no one asks for,
+            outweighs that of table and objects. None for equal weights, as published.
         form: `paper` leaves out pixels without ground truth, and normals and slopes next to them,
             and computes normals with each frame's camera. `released` does as the authors'
             program: a missing truth is a depth of 0, and one camera is everyone's. On DREDS, where
@@ -117,6 +120,7 @@ class SwinDRNetLoss:
     initial: float = 0.4
     foreground: float = 1.0
     background: float = 0.4
+    near: float | None = None
     form: Literal["paper", "released"] = "paper"
 
     def __call__(self, prediction: Prediction, target: Target) -> Loss:
@@ -133,6 +137,8 @@ class SwinDRNetLoss:
             trusted = self._of_trust(prediction.confidence, target)
             parts["trust"] = mean_where(trusted, known).detach()
             by_pixel = by_pixel + self.confidence * trusted
+        if self.near is not None:
+            by_pixel = by_pixel * (self.near / target.depth.clamp(min=self.near)).square()
         inside = mean_where(by_pixel, known & target.foreground)
         outside = mean_where(by_pixel, known & ~target.foreground)
         total = self.foreground * inside + self.background * outside

@@ -24,6 +24,7 @@ from benchmark.training.step import Target, mean_where
 LOSSES = {
     "swindrnet": SwinDRNetLoss(),
     "swindrnet-released": SwinDRNetLoss(form="released"),
+    "swindrnet-near": SwinDRNetLoss(near=0.6),
     "nlspn": NLSPNLoss(),
     "nlspn-unlimited": NLSPNLoss(farthest=None),
     "dfnet": DFNetLoss(smoothness=0.1),
@@ -152,6 +153,15 @@ def test_confidence_is_compared_with_where_the_sensor_is_right():
     outside = -math.log(1 - 0.1)
     assert found.total.item() == pytest.approx(0.5 * (inside + 0.4 * outside))
     assert found.parts["trust"].item() == pytest.approx((2 * inside + outside) / 3)
+
+
+def test_pixels_beyond_near_count_by_the_square_of_their_distance():
+    depth = torch.tensor([0.5, 1.0, 2.0, 4.0], dtype=torch.float64).expand(1, 1, 2, 4)
+    target = Target(depth, torch.zeros(1, 1, 2, 4, dtype=torch.bool), torch.eye(3)[None].double())
+    off = depth + 0.1
+    loss = SwinDRNetLoss(near=1.0, normals=0, slopes=0, initial=0, background=1.0)
+    found = loss(Prediction(off, off.clone(), None), target).total.item()
+    assert found == pytest.approx(0.1 * (1 + 1 + 1 / 4 + 1 / 16) / 4)
 
 
 def test_gradients_of_confidence_are_those_of_differences():
