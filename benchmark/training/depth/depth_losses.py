@@ -103,9 +103,9 @@ class SwinDRNetLoss:
         confidence: weight of the cross entropy between the confidence and whether the sensor is
             within 1 cm of the truth, weighed by foreground and background as all parts. The
             published network learns its confidence from the final depth alone.
-        near: metres; pixels farther away than this count (near / g)^2, as much as a stereo camera
-            can tell there. Without it the error of a wall metres away, which no one asks for,
-            outweighs that of table and objects. None for equal weights, as published.
+        near: metres; pixels farther away than this count (near / g)^2: the error of stereo grows
+            with g^2. Otherwise, with `squared`, walls metres away outweigh table and objects. None
+            for equal weights, as published.
         form: `paper` leaves out pixels without ground truth, and normals and slopes next to them,
             and computes normals with each frame's camera. `released` does as the authors'
             program: a missing truth is a depth of 0, and one camera is everyone's. On DREDS, where
