@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from benchmark.data.splits import open_split
 from benchmark.evaluation.engine import run_all
@@ -30,16 +31,18 @@ _PACK = (224, 126)
 
 @dataclass(frozen=True)
 class Tuning:
-    """Settings and loss that the shipped weights were trained with; see their cards."""
+    """Settings, loss and norms that the shipped weights were trained with; see their cards."""
 
     settings: Mapping[str, str] = field(default_factory=dict)
     loss: Mapping[str, str] = field(default_factory=dict)
+    norms: Literal["running", "measured"] = "running"
 
 
 TUNINGS: dict[str, Tuning] = {
     "swindrnet": Tuning(
         {"dropout": "0", "drop_path": "0"},
-        {"squared": "2", "slopes": "0.1", "normals": "0.03", "confidence": "0.05"},
+        {"squared": "2", "slopes": "0.1", "normals": "0.03", "confidence": "0.15", "near": "1"},
+        norms="measured",
     ),
     "nlspn": Tuning(loss={"absolute": "1", "squared": "10", "farthest": "1.5", "objects": "4"}),
     "dfnet": Tuning(loss={"objects": "4"}),
@@ -124,6 +127,7 @@ def fine_tune(options: MineOptions) -> MineReport:
             preset=PRESET,
             settings=tuning.settings,
             loss=tuning.loss,
+            norms=tuning.norms,
             weights=shipped,
             steps=options.steps,
             batch_size=options.batch_size,

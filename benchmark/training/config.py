@@ -110,6 +110,8 @@ class TrainConfig:
         geometry: whether frames are turned, mirrored and enlarged, as published for NLSPN.
         replace: share of the frames in which some objects are measured otherwise.
         paste: share of the frames into which objects of another frame are put.
+        norms: whether trained weights normalise by running means over the last batches, as
+            published, or by statistics that are measured before each validation.
         validate_every, checkpoint_every: steps; the first a multiple of the second.
         training, validation: hashes over the frames.
         beginning: hash of the file of weights to begin with, and of what it is; empty for none.
@@ -130,6 +132,7 @@ class TrainConfig:
     geometry: bool = False
     replace: float = 0.0
     paste: float = 0.0
+    norms: Literal["running", "measured"] = "running"
     validate_every: int
     checkpoint_every: int
     training: str

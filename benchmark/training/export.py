@@ -18,6 +18,7 @@ from safetensors.torch import save
 from benchmark.methods.registry import grasp_planners, pose_methods, restorers, sha256_of
 from benchmark.methods.weights import read_weights
 from benchmark.training.config import CONFIG
+from benchmark.training.norms import NORM_FRAMES
 from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
 from std_toolkit import __version__
@@ -180,6 +181,8 @@ def _how(
         )
     if config.get("paste"):
         rows.append(("pasted", f"objects of another frame into {config['paste']:g} of the frames"))
+    if config.get("norms") == "measured":
+        rows.append(("batch normalisation", f"measured over {NORM_FRAMES} frames"))
     if config.get("beginning") and not note.earlier:
         rows.append(("began with", f"{config['beginning']} (hash of the file)"))
     for stage in note.earlier:

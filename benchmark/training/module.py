@@ -5,13 +5,14 @@ All random numbers of a step are a function of its number.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
+from benchmark.training import norms
 from benchmark.training.config import TrainConfig, seed_of
 from benchmark.training.step import Batch, ModelInput, StepFunction, model_input
 from std_toolkit.errors import ToolkitError
@@ -54,6 +55,17 @@ class RestorerTraining(pl.LightningModule):
             from benchmark.training.augmentation import ColorAugmentation
 
             self._change_color.append(ColorAugmentation())
+
+    def measure_norms(self, batches: Iterable[Batch]) -> None:
+        """Measure the statistics of batch normalisation; see `benchmark.training.norms`."""
+        begin = self.config.step_info(self.global_step)
+
+        def run(batch: Batch) -> None:
+            on = {name: tensor.to(self.device) for name, tensor in batch.items()}
+            with self.trainer.precision_plugin.forward_context():
+                self.step(self.network, self.loss, model_input(on), begin)
+
+        norms.measure_norms(self.network, batches, run)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         part = batch_idx % self.config.accumulate

@@ -77,6 +77,9 @@ class TrainOptions:
     one"""
     paste: Share = 0.0
     """share of the frames into which objects of another frame of the batch are put"""
+    norms: Literal["running", "measured"] = "running"
+    """statistics of batch normalisation in validated and saved weights: running means over the last
+    batches, as published, or measured over 400 frames before each validation"""
     precision: Precision = "fp32"
     """arithmetic of the network"""
     seed: int = 0

@@ -46,7 +46,7 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Dat
     if every is None:
         every = max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
     about_an_epoch = max(1, round(min(order.steps_per_epoch, steps) / max(1, every))) * every
-    copied = ("method", "preset", "accumulate", "precision", "seed", "replace", "paste")
+    copied = ("method", "preset", "accumulate", "precision", "seed", "replace", "paste", "norms")
     config = TrainConfig(
         **{name: getattr(options, name) for name in copied},
         settings=settings,

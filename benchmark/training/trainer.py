@@ -9,7 +9,7 @@ import logging
 import os
 import pickle
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from torch.utils.data import DataLoader
 
 from benchmark.training import callbacks, catalogue, frame_order, options, packed_frames
 from benchmark.training.config import TrainConfig
+from benchmark.training.step import Batch
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
 
@@ -119,6 +120,17 @@ class Loaders(pl.LightningDataModule):
             pin_memory=torch.cuda.is_available(),
             worker_init_fn=partial(_let_go, self.lock),
         )
+
+    def first(self, count: int) -> Iterator[Batch]:
+        """At least `count` frames, those of the first steps, the same ones in every process."""
+        chosen = _Chosen(self.data.training, self.data.of_training)
+        batch = self.config.optimization.batch_size
+        order = frame_order.BatchOrder(len(chosen), batch, seed=self.config.seed)
+        assert self.trainer is not None
+        part = batch // (self.config.accumulate * self.trainer.world_size)  # what memory holds
+        for step in range(-(-count // batch)):
+            frames = order.batch_of(step).tolist()
+            yield from (chosen[frames[i : i + part]] for i in range(0, batch, part))
 
 
 class _Chosen(torch.utils.data.Dataset[dict[str, torch.Tensor]]):

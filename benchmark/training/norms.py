@@ -1,0 +1,45 @@
+"""Statistics of batch normalisation, measured over many frames.
+
+A network in training normalises by the statistics of each batch; a trained one by running means of
+them, of which the last ten batches decide most. Where a batch has few numbers for each channel, as
+at the top of a pooled pyramid, these means change from batch to batch, and with them the answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import torch
+from torch import nn
+from torch.nn.modules.batchnorm import _BatchNorm
+
+from benchmark.training.step import Batch
+
+NORM_FRAMES = 400  # that statistics are measured over
+
+
+@torch.no_grad()
+def measure_norms(
+    network: nn.Module, batches: Iterable[Batch], run: Callable[[Batch], Any]
+) -> None:
+    """Set the running statistics to their means over batches, and nothing else.
+
+    Args:
+        network: whose weights stay as they are.
+        batches: frames.
+        run: sends a batch through the network.
+    """
+    norms = [part for part in network.modules() if isinstance(part, _BatchNorm)]
+    momenta = [norm.momentum for norm in norms]
+    was_training = network.training
+    network.eval()  # no dropout
+    for norm in norms:
+        norm.train()
+        norm.reset_running_stats()
+        norm.momentum = None  # a mean over all batches
+    for batch in batches:
+        run(batch)
+    network.train(was_training)
+    for norm, momentum in zip(norms, momenta, strict=True):
+        norm.momentum = momentum

@@ -1,0 +1,62 @@
+"""Statistics of batch normalisation that are measured before each validation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+from training_set import packed, same, trained, wishes, write_scenes
+
+from benchmark.training.norms import measure_norms
+
+
+@pytest.fixture(scope="module")
+def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    top = tmp_path_factory.mktemp("norms")
+    return packed(top / "pack", write_scenes(top / "data"))
+
+
+def test_statistics_are_those_of_all_numbers():
+    network = nn.Sequential(nn.BatchNorm1d(3), nn.Dropout(0.9))
+    numbers = torch.randn(60, 3, generator=torch.Generator().manual_seed(0)) * 3 + 5
+    batches = [{"x": part} for part in numbers.split(20)]
+    measure_norms(network, batches, lambda batch: network(batch["x"]))
+    norm = network[0]
+    torch.testing.assert_close(norm.running_mean, numbers.mean(0))
+    within = torch.stack([batch["x"].var(0) for batch in batches]).mean(0)
+    torch.testing.assert_close(norm.running_var, within)
+    assert norm.momentum == 0.1
+    assert network.training
+
+
+def test_they_change_nothing_else(pack: Path, tmp_path: Path):
+    """The steps are the same; only what trained weights normalise by differs."""
+    by_kind = {
+        kind: trained(wishes("swindrnet", pack, norms=kind), tmp_path / kind)
+        for kind in ("running", "measured")
+    }
+    running, measured = by_kind["running"], by_kind["measured"]
+    differing = {name for name in running if not torch.equal(running[name], measured[name])}
+    assert differing
+    assert all("running_" in name or "num_batches" in name for name in differing)
+
+
+def test_a_killed_training_ends_with_the_same_bits(pack: Path, tmp_path: Path, monkeypatch):
+    from benchmark.training.module import RestorerTraining
+
+    asked = wishes("swindrnet", pack, norms="measured", accumulate=2)
+    whole = trained(asked, tmp_path / "whole")
+    plain = RestorerTraining.training_step
+
+    def falls(self, batch, batch_idx):
+        if self.global_step == 5:  # behind a validation
+            raise RuntimeError
+        return plain(self, batch, batch_idx)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RestorerTraining, "training_step", falls)
+        with pytest.raises(RuntimeError):
+            trained(asked, tmp_path / "parted")
+    assert same(whole, trained(asked, tmp_path / "parted"))
