@@ -1,6 +1,6 @@
 """Speed and memory of `std-restore`, reading and writing included.
 
-    python perf/restore.py [--frames 60] [--workers 2] [--size 224x126 640x360]
+    python perf/restore.py [--frames 60] [--workers 2]
     python perf/restore.py --memory 10000
 
 Made-up frames of 640x360 (colour and depth as PNG) are restored by the compact SwinDRNet. The
@@ -31,6 +31,7 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(REPOSITORY))
 
+from benchmark.methods.registry import shipped_graphs  # noqa: E402
 from benchmark.restoring.onnx_export import made_up_views  # noqa: E402
 from std_toolkit.io.images import write_color, write_depth_png16  # noqa: E402
 
@@ -193,13 +194,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--size", nargs="+", default=["224x126", "640x360"])
     parser.add_argument("--memory", type=int, metavar="N")
     args = parser.parse_args()
     if args.memory:
         memory(args.memory, args.workers)
     else:
-        speed(args.frames, args.workers, args.size)
+        speed(
+            args.frames,
+            args.workers,
+            [f"{w}x{h}" for w, h in shipped_graphs("swindrnet", "compact")],
+        )
 
 
 if __name__ == "__main__":

@@ -74,17 +74,11 @@ def test_a_shipped_graph_refers_to_the_numbers_of_the_shipped_weights(size):
     assert sum(path.stat().st_size for path in GRAPHS.values()) < 2.5e6
 
 
-@pytest.mark.parametrize(
-    "size",
-    [
-        pytest.param((224, 126), marks=pytest.mark.slow),
-        pytest.param((640, 360), marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("size", GRAPHS)
 def test_a_shipped_graph_computes_what_torch_computes(size):
     views = made_up_views(size)
-    options = {"input_size": f"{size[0]},{size[1]}"}
-    wanted = make_restorer("swindrnet", MethodOptions(preset="compact", settings=options))
+    wanted = make_restorer("swindrnet", MethodOptions(preset="compact"))
     own = OnnxNetwork(MethodOptions(weights=GRAPHS[size]))
     assert own.input_size == size
     found = differences(own.restore(views), wanted.restore(views))

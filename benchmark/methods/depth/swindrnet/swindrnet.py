@@ -20,6 +20,7 @@ from benchmark.methods.depth.swindrnet import fusion_decoder, swin, swindrnet_ne
 from benchmark.methods.network import NetworkRestorer, Prediction, network_of, torch_device
 from benchmark.methods.registry import MethodOptions
 from benchmark.methods.weights import check_keys, read_weights
+from std_toolkit.errors import ToolkitError
 
 _TAPS = 3  # side of the convolutions
 
@@ -82,9 +83,19 @@ class SwinDRNet(NetworkRestorer):
 def _network(
     options: MethodOptions,
 ) -> tuple[swindrnet_network.SwinDRNetConfig, swindrnet_network.SwinDRNetwork]:
-    return network_of(
-        "swindrnet", swindrnet_network.PRESETS, swindrnet_network.SwinDRNetwork, options
-    )
+    presets = swindrnet_network.PRESETS
+    config, network = network_of("swindrnet", presets, swindrnet_network.SwinDRNetwork, options)
+    own = presets[options.preset].input_size
+    if options.weights is None and config.input_size != own:
+        # Their statistics of batch normalisation are those of one size: at others, objects are
+        # decimetres off.
+        raise ToolkitError(
+            f"the weights that ship are for {own[0]}x{own[1]} alone",
+            field="input_size",
+            value=f"{config.input_size[0]}x{config.input_size[1]}",
+            hint="leave the size away, or give --weights that were trained at this one",
+        )
+    return config, network
 
 
 class Interleaved(nn.Module):
