@@ -25,14 +25,16 @@ def measure_norms(
 ) -> None:
     """Set the running statistics to their means over batches, and nothing else.
 
+    Those of parts that are not in training mode, such as a frozen trunk, stay as they are.
+
     Args:
         network: whose weights stay as they are.
         batches: frames.
         run: sends a batch through the network.
     """
-    norms = [part for part in network.modules() if isinstance(part, _BatchNorm)]
+    norms = [part for part in network.modules() if isinstance(part, _BatchNorm) and part.training]
     momenta = [norm.momentum for norm in norms]
-    was_training = network.training
+    modes = [(part, part.training) for part in network.modules()]
     network.eval()  # no dropout
     for norm in norms:
         norm.train()
@@ -40,6 +42,7 @@ def measure_norms(
         norm.momentum = None  # a mean over all batches
     for batch in batches:
         run(batch)
-    network.train(was_training)
+    for part, mode in modes:
+        part.training = mode
     for norm, momentum in zip(norms, momenta, strict=True):
         norm.momentum = momentum

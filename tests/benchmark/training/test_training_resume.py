@@ -36,7 +36,7 @@ def test_interrupted_and_resumed_ends_with_the_same_bits(method, at, pack, tmp_p
     """Step 3 stands between two checkpoints, step 4 right behind one and before its validation."""
     from benchmark.training.module import RestorerTraining
 
-    asked = wishes(method, pack, colors="on", replace=0.5, accumulate=2)
+    asked = wishes(method, pack, colors="on", replace=0.5, accumulate=2, norms="measured")
     whole = trained(asked, tmp_path / "whole")
 
     plain = RestorerTraining.training_step

@@ -138,6 +138,12 @@ def test_wrong_options(method, tmp_path):
             make_restorer(method, options)
 
 
+def test_shipped_weights_are_refused_at_another_size():
+    size = {"input_size": "320,180"}
+    with pytest.raises(ToolkitError, match=r"input_size.*for 224x126 alone.*320x180.*--weights"):
+        make_restorer("swindrnet", MethodOptions(preset="compact", settings=size))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_narrow_arithmetic_is_near(name, tmp_path):
