@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from torch import nn
-from training_set import packed, same, trained, wishes, write_scenes
+from training_set import packed, trained, wishes, write_scenes
 
 from benchmark.training.norms import measure_norms
 
