@@ -31,7 +31,6 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(REPOSITORY))
 
-from benchmark.methods.registry import shipped_graphs  # noqa: E402
 from benchmark.restoring.onnx_export import made_up_views  # noqa: E402
 from std_toolkit.io.images import write_color, write_depth_png16  # noqa: E402
 
@@ -74,39 +73,28 @@ def run(command: list[str]) -> tuple[float, float]:
     return time.monotonic() - since, used
 
 
-def speed(frames: int, workers: int, sizes: list[str]) -> None:
-    print(
-        f"{'network at':>12} {'start [s]':>10} {'frames/s':>9} {'CPU [ms]':>9} {'of 2 cores':>11}"
-    )
+def speed(frames: int, workers: int) -> None:
+    print(f"{'start [s]':>10} {'frames/s':>9} {'CPU [ms]':>9} {'of 2 cores':>11}")
     with tempfile.TemporaryDirectory() as place:
         root = Path(place)
         few = max(workers, frames // 10)
         make_frames(root / "all", frames, CAMERA)
         make_frames(root / "few", few, CAMERA)
-        for size in sizes:
-            found = {}
-            for engine in (("--workers", str(workers)), ("--engine", "serial")):
-                times = [
-                    run(
-                        [
-                            *words(root / n, root / f"{n}-{size}-{engine[1]}", CAMERA, *engine),
-                            *("--size", size),
-                        ]
-                    )
-                    for n in ("few", "all")
-                ]
-                each = [(b - a) / (frames - few) for a, b in zip(*times, strict=True)]
-                found[engine[1]] = each, times[0][0] - few * each[0]
-            (elapsed, _), start = found[str(workers)]
-            (_, processor), _ = found["serial"]
-            print(
-                f"{size:>12} {start:10.1f} {1 / elapsed:9.1f} {1e3 * processor:9.1f} "
-                f"{2 / processor:11.1f}"
-            )
-        steps(root / "all", root / "steps", sizes)
+        found = {}
+        for engine in (("--workers", str(workers)), ("--engine", "serial")):
+            times = [
+                run(words(root / n, root / f"{n}-{engine[1]}", CAMERA, *engine))
+                for n in ("few", "all")
+            ]
+            each = [(b - a) / (frames - few) for a, b in zip(*times, strict=True)]
+            found[engine[1]] = each, times[0][0] - few * each[0]
+        (elapsed, _), start = found[str(workers)]
+        (_, processor), _ = found["serial"]
+        print(f"{start:10.1f} {1 / elapsed:9.1f} {1e3 * processor:9.1f} {2 / processor:11.1f}")
+        steps(root / "all", root / "steps")
 
 
-def steps(folder: Path, out: Path, sizes: list[str]) -> None:
+def steps(folder: Path, out: Path) -> None:
     """Print the processor time of each step of a frame, one thread."""
     from benchmark.methods.depth.full_size import sensor_view, to_full_size
     from benchmark.restoring.outputs import RestoreSetup, paths_of, write_frame
@@ -118,33 +106,32 @@ def steps(folder: Path, out: Path, sizes: list[str]) -> None:
     cv2.setNumThreads(1)
     k = f"640,640,{(CAMERA[0] - 1) / 2},{(CAMERA[1] - 1) / 2}"
     recording = open_recordings([folder], ImageOptions(intrinsics=k, depth_scale=1e-3), out)[0]
-    for text in sizes:
-        size = (int(text.split("x")[0]), int(text.split("x")[1]))
-        restorer = Restorer.load(size=size)
-        setup = RestoreSetup(
-            method="swindrnet", preset="compact", settings={}, weights_sha256="", size=[*size],
-            backend="onnx", depth_format="same", points=False, pictures=False,
-        )  # fmt: skip
-        least: dict[str, float] = {}
-        for index in range(2 * KINDS):
-            marks = [time.process_time()]
-            frame = replace(recording.frames[index], name=f"{text}-{index}")
-            color, sensor = frame.read()
-            marks.append(time.process_time())
-            view = sensor_view(color, sensor, frame.camera, restorer.method.input_size)
-            answer = restorer.method.restore([view])[0]
-            marks.append(time.process_time())
-            full = to_full_size(sensor, answer, color)
-            marks.append(time.process_time())
-            found = RestoredFrame(full.depth, full.confidence, ~full.believed)
-            write_frame(paths_of(out, frame, "same"), frame, color, sensor, found, setup)
-            marks.append(time.process_time())
-            for name, a, b in zip(
-                ("read", "network", "enlarge", "write"), marks, marks[1:], strict=False
-            ):
-                least[name] = min(least.get(name, 9.0), b - a)
-        told = ", ".join(f"{name} {1e3 * value:.1f}" for name, value in least.items())
-        print(f"{text}: least processor time in ms: {told}")
+    restorer = Restorer.load()
+    setup = RestoreSetup(
+        method="swindrnet", preset="compact", settings={}, weights_sha256="",
+        size=[*(restorer.method.input_size or ())], backend="onnx", depth_format="same",
+        points=False, pictures=False,
+    )  # fmt: skip
+    least: dict[str, float] = {}
+    for index in range(2 * KINDS):
+        marks = [time.process_time()]
+        frame = replace(recording.frames[index], name=f"{index}")
+        color, sensor = frame.read()
+        marks.append(time.process_time())
+        view = sensor_view(color, sensor, frame.camera, restorer.method.input_size)
+        answer = restorer.method.restore([view])[0]
+        marks.append(time.process_time())
+        full = to_full_size(sensor, answer, color)
+        marks.append(time.process_time())
+        found = RestoredFrame(full.depth, full.confidence, ~full.believed)
+        write_frame(paths_of(out, frame, "same"), frame, color, sensor, found, setup)
+        marks.append(time.process_time())
+        for name, a, b in zip(
+            ("read", "network", "enlarge", "write"), marks, marks[1:], strict=False
+        ):
+            least[name] = min(least.get(name, 9.0), b - a)
+    told = ", ".join(f"{name} {1e3 * value:.1f}" for name, value in least.items())
+    print(f"least processor time in ms: {told}")
 
 
 def pss_mib(pid: int) -> float:
@@ -199,11 +186,7 @@ def main() -> None:
     if args.memory:
         memory(args.memory, args.workers)
     else:
-        speed(
-            args.frames,
-            args.workers,
-            [f"{w}x{h}" for w, h in shipped_graphs("swindrnet", "compact")],
-        )
+        speed(args.frames, args.workers)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from benchmark.data.splits import open_split
 from benchmark.evaluation.engine import run_all
@@ -16,7 +15,7 @@ from benchmark.methods.registry import MethodOptions, shipped_weights
 from benchmark.recipes.frame_sets import FrameSet
 from benchmark.recipes.recipe_plan import Entry, Pack
 from benchmark.recipes.recipe_run import Trained, make_pack, make_set, train
-from benchmark.training.options import MineOptions, TrainOptions
+from benchmark.training.options import MineOptions, NormKind, TrainOptions
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
 
@@ -35,7 +34,7 @@ class Tuning:
 
     settings: Mapping[str, str] = field(default_factory=dict)
     loss: Mapping[str, str] = field(default_factory=dict)
-    norms: Literal["running", "measured"] = "running"
+    norms: NormKind = "running"
 
 
 TUNINGS: dict[str, Tuning] = {

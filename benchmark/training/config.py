@@ -11,6 +11,7 @@ from typing import Any, Literal
 import torch
 from torch import nn
 
+from benchmark.training.options import NormKind, Precision
 from benchmark.training.step import StepInfo
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import begin_folder
@@ -125,14 +126,14 @@ class TrainConfig:
     steps: int
     phases: dict[str, int] = field(default_factory=dict)
     accumulate: int = 1
-    precision: Literal["fp32", "bf16"] = "fp32"
+    precision: Precision = "fp32"
     seed: int = 0
     colors: bool = True
     jitter: bool = False
     geometry: bool = False
     replace: float = 0.0
     paste: float = 0.0
-    norms: Literal["running", "measured"] = "running"
+    norms: NormKind = "running"
     validate_every: int
     checkpoint_every: int
     training: str

@@ -58,12 +58,12 @@ class RestorerTraining(pl.LightningModule):
 
     def measure_norms(self, batches: Iterable[Batch]) -> None:
         """Measure the statistics of batch normalisation; see `benchmark.training.norms`."""
-        begin = self.config.step_info(self.global_step)
+        info = self.config.step_info(self.global_step)
 
         def run(batch: Batch) -> None:
             on = {name: tensor.to(self.device) for name, tensor in batch.items()}
             with self.trainer.precision_plugin.forward_context():
-                self.step(self.network, self.loss, model_input(on), begin)
+                self.step(self.network, self.loss, model_input(on), info)
 
         norms.measure_norms(self.network, batches, run)
 

@@ -33,11 +33,13 @@ def measure_norms(
         run: sends a batch through the network.
     """
     norms = [part for part in network.modules() if isinstance(part, _BatchNorm) and part.training]
+    if not norms:  # as in networks of transformers and perceptrons alone
+        return
     momenta = [norm.momentum for norm in norms]
     modes = [(part, part.training) for part in network.modules()]
     network.eval()  # no dropout
     for norm in norms:
-        norm.train()
+        norm.training = True
         norm.reset_running_stats()
         norm.momentum = None  # a mean over all batches
     for batch in batches:

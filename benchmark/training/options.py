@@ -19,6 +19,7 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Precision = Literal["fp32", "bf16"]
+NormKind = Literal["running", "measured"]
 DepthKind = Literal["float32", "float16"]
 ColorWay = Literal["cubic", "area", "nearest"]
 RawKind = Literal["sensor", "cut"]
@@ -77,7 +78,7 @@ class TrainOptions:
     one"""
     paste: Share = 0.0
     """share of the frames into which objects of another frame of the batch are put"""
-    norms: Literal["running", "measured"] = "running"
+    norms: NormKind = "running"
     """statistics of batch normalisation in validated and saved weights: running means over the last
     batches, as published, or measured over 400 frames before each validation"""
     precision: Precision = "fp32"

@@ -100,9 +100,9 @@ class Loaders(pl.LightningDataModule):
     def train_dataloader(self) -> DataLoader[Any]:
         trainer, config = self.trainer, self.config
         assert trainer is not None
-        chosen = _Chosen(self.data.training, self.data.of_training)
+        chosen, order = self._ordered()
         steps = frame_order.Steps(
-            frame_order.BatchOrder(len(chosen), config.optimization.batch_size, seed=config.seed),
+            order,
             lambda: trainer.global_step,
             steps=config.checkpoint_every,
             end=config.steps,
@@ -123,14 +123,18 @@ class Loaders(pl.LightningDataModule):
 
     def first(self, count: int) -> Iterator[Batch]:
         """At least `count` frames, those of the first steps, the same ones in every process."""
-        chosen = _Chosen(self.data.training, self.data.of_training)
-        batch = self.config.optimization.batch_size
-        order = frame_order.BatchOrder(len(chosen), batch, seed=self.config.seed)
         assert self.trainer is not None
-        part = batch // (self.config.accumulate * self.trainer.world_size)  # what memory holds
-        for step in range(-(-count // batch)):
+        chosen, order = self._ordered()
+        part = order.batch // (self.config.accumulate * self.trainer.world_size)  # memory holds it
+        for step in range(-(-count // order.batch)):
             frames = order.batch_of(step).tolist()
-            yield from (chosen[frames[i : i + part]] for i in range(0, batch, part))
+            yield from (chosen[frames[i : i + part]] for i in range(0, order.batch, part))
+
+    def _ordered(self) -> tuple[_Chosen, frame_order.BatchOrder]:
+        """The frames to train on, and the order of their batches."""
+        chosen, config = _Chosen(self.data.training, self.data.of_training), self.config
+        batch = config.optimization.batch_size
+        return chosen, frame_order.BatchOrder(len(chosen), batch, seed=config.seed)
 
 
 class _Chosen(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
