@@ -93,6 +93,6 @@ def _legend() -> str:
         "<b>Depth</b>: median of the drawn surface minus the sensor's, positive if the object lies "
         f"behind. Sensors have errors up to 2 %, so up to {limits.depth_mm[0]:g} mm may be sensor "
         "error. Only for raw and diffuse objects: on others sensor depth is wrong.<br>"
-        "<b>Nearby poses</b>: 200 poses, moved by up to 30 mm and turned by up to 15 degrees, in up "
-        "to eight frames. A pose fits only if it beats them."
+        "<b>Nearby poses</b>: 200 poses, moved by up to 30 mm and turned by up to 15 degrees, in "
+        "up to eight frames. A pose fits only if it beats them."
     )
