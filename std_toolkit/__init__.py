@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from std_toolkit.geometry.se3 import SE3
     from std_toolkit.importers.import_step import import_recording
     from std_toolkit.jobs.options import JobOptions
-    from std_toolkit.labels.label import add_model, add_object, set_pose
-    from std_toolkit.labels.label_command import run_label_command
-    from std_toolkit.labels.pnp import solve_pnp
+    from std_toolkit.labels.entry.label import add_model, add_object, set_pose
+    from std_toolkit.labels.entry.label_command import run_label_command
+    from std_toolkit.labels.entry.pnp import solve_pnp
     from std_toolkit.labels.propagate import propagate_labels
     from std_toolkit.labels.refine_step import refine_labels
     from std_toolkit.options import (
@@ -83,8 +83,8 @@ _MODULES = {
     "RenderOptions": "options",
     "Scene": "scene.scene",
     "ToolkitError": "errors",
-    "add_model": "labels.label",
-    "add_object": "labels.label",
+    "add_model": "labels.entry.label",
+    "add_object": "labels.entry.label",
     "estimate_poses": "poses.pose_step",
     "export_scene": "exporters.export_step",
     "failed_gates": "poses.pose_step",
@@ -95,9 +95,9 @@ _MODULES = {
     "render_ground_truth": "rendering.render_step",
     "rendered_frames": "rendering.ground_truth",
     "run_check": "checks.check_step",
-    "run_label_command": "labels.label_command",
-    "set_pose": "labels.label",
-    "solve_pnp": "labels.pnp",
+    "run_label_command": "labels.entry.label_command",
+    "set_pose": "labels.entry.label",
+    "solve_pnp": "labels.entry.pnp",
 }
 
 install()
