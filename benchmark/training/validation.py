@@ -57,7 +57,7 @@ class Validator(ABC):
 
     @abstractmethod
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        """Name and value of what networks are ranked by, the less the better."""
+        """Name and value of what networks are ranked by; lower is better."""
 
     @abstractmethod
     def pictures(
@@ -161,7 +161,7 @@ def scores_of(states: np.ndarray) -> dict[str, float]:
 
 
 def main_score(scores: dict[str, float]) -> tuple[str, float]:
-    """Name and value of what networks are ranked by: RMSE in metres, the less the better."""
+    """Name and value of what networks are ranked by: RMSE in metres; lower is better."""
     for name in SUBSETS:
         value = scores[f"{name}_rmse"]
         if not math.isnan(value):

@@ -225,7 +225,7 @@ def _poses(
         )  # fmt: skip
     if options.board is None:
         raise ToolkitError(
-            "without a board nothing tells the size of the object",
+            "the scale is unknown: no board",
             hint="photograph the object on the printed board and give --board FILE, or give known "
             "cameras with --cameras",
         )

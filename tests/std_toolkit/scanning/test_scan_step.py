@@ -109,7 +109,7 @@ def test_too_few_photos(tmp_path: Path) -> None:
 
 def test_without_board_and_cameras_the_size_is_unknown(tmp_path: Path) -> None:
     write_photos(tmp_path / "photos", 8)
-    with pytest.raises(ToolkitError, match=r"nothing tells the size.*--board"):
+    with pytest.raises(ToolkitError, match=r"scale is unknown: no board.*--board"):
         scan_step.scan(options_for(tmp_path, known=KnownCameras()))
 
 
