@@ -22,8 +22,8 @@ from annotator.session.merge import Stored
 from annotator.session.state import AnnotationState
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sync_folder, write_bytes_atomic
-from std_toolkit.io.documents import plain_number
-from std_toolkit.scene.document import Count, Document, digest_file
+from std_toolkit.io.documents import digest_file, plain_number
+from std_toolkit.scene.document import Count, Document
 
 # Documents that a journal is bound to: changed frames invalidate its edits, changes of the other
 # documents are merged.

@@ -23,8 +23,8 @@ from benchmark.evaluation.results import good_frames, join_parts, report_failure
 from benchmark.methods.registry import MethodOptions, shipped_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.io.documents import digest_file
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.document import digest_file
 
 # The replacement of a dead worker waits until the system has released the lock.
 _PATIENCE_S = 30.0

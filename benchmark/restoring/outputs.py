@@ -18,10 +18,9 @@ from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, unproject_depth
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, read_document, write_document
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_depth_png16, write_png
-from std_toolkit.scene.document import digest_file
 
 RECORD = "restore.json"
 # 16-bit PNG of depth that was an EXR: metres per unit.

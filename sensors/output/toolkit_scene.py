@@ -26,10 +26,11 @@ from std_toolkit import __version__
 from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh, write_mesh
 from std_toolkit.io import atomic, documents, exr, images
+from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.rendering import ground_truth, maps, placements, raycast
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.scene.document import digest_file, digest_of, safe_name
+from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,

@@ -40,11 +40,10 @@ from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.importers.foreign_files import write_mesh
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, read_document, write_document
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.poses.board_sheet import make_board_sheet
-from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import CameraModel
 
 _TABLE_HALF_M = 1.2

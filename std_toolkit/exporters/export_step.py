@@ -22,14 +22,13 @@ from std_toolkit.exporters.staging import (
     staging_area,
     state_of,
 )
-from std_toolkit.io.documents import write_document
+from std_toolkit.io.documents import digest_file, digest_of, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import ExportOptions
 from std_toolkit.rendering.ground_truth import info_path, read_frame_truth, rendered_frames
 from std_toolkit.scene import model
 from std_toolkit.scene.check_flags import CheckFlags, read_check_flags
-from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
 from std_toolkit.scene.sidecar import (
     SIDECAR_NAME,

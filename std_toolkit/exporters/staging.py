@@ -20,8 +20,7 @@ import msgspec
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.exporter import FrameRow
 from std_toolkit.io.atomic import refuse_links, sweep_temporaries
-from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.scene.document import digest_file
+from std_toolkit.io.documents import digest_file, read_document, write_document
 from std_toolkit.scene.sidecar import SIDECAR_NAME, Sidecar
 
 PROGRESS = ".progress"

@@ -26,7 +26,7 @@ import numpy as np
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, digest_of, read_document, write_document
 from std_toolkit.rendering import choose, ground_truth, maps, mesh, occluders, raycast
 from std_toolkit.rendering.ground_truth import (
     FrameTruth,
@@ -37,7 +37,6 @@ from std_toolkit.rendering.ground_truth import (
 )
 from std_toolkit.rendering.placements import frame_inputs, frame_placements, place_meshes
 from std_toolkit.rendering.renderer import PlacedMesh, Window, image_window, normalised_rays
-from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.scene.scene import Scene
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, rotation_angle
+from std_toolkit.io.documents import digest_of
 from std_toolkit.rendering.renderer import PlacedMesh
-from std_toolkit.scene.document import digest_of
 from std_toolkit.scene.model import pose_from_list
 from std_toolkit.scene.scene import Scene
 

@@ -8,11 +8,11 @@ from typing import Literal
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import RenderOptions
 from std_toolkit.rendering import choose, frame, ground_truth, occluders, placements
-from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.io.documents import digest_of
 from std_toolkit.scanning.depth_maps import DepthEngine, DepthMap
 from std_toolkit.scanning.hollow import hollowed
 from std_toolkit.scanning.hull import hull_field, largest_component, surface_of
@@ -30,7 +31,6 @@ from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.underside import flatten_unseen
 from std_toolkit.scanning.views import Array, Grid, View, in_threads
-from std_toolkit.scene.document import digest_of
 
 # Depth below the hull that is searched, as a share of the longest side.
 _DEEPEST = 0.3

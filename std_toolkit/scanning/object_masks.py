@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import digest_of
 from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.scanning import candidates as standing
 from std_toolkit.scanning.masks import dilated, segment_by_border
@@ -21,7 +22,6 @@ from std_toolkit.scanning.posed_photos import PosedPhotos
 from std_toolkit.scanning.proven_masks import segment_on_table
 from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.views import View
-from std_toolkit.scene.document import digest_of
 
 # Width of the rim of a mask that may lack a part of the object.
 _RIM_PX = 3

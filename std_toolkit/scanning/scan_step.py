@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.log import logger
 from std_toolkit.scanning import photos as photo_files
 from std_toolkit.scanning.bake import bake_texture
@@ -35,7 +36,6 @@ from std_toolkit.scanning.turned_over import find_turn
 from std_toolkit.scanning.video import is_video, sample_video
 from std_toolkit.scanning.views import Array, View
 from std_toolkit.scanning.write_model import write_model
-from std_toolkit.scene.document import digest_file, digest_of
 
 # Support of a face below which its place is a guess.
 _SUPPORTED = 0.3

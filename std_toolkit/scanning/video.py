@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, digest_of, read_document, write_document
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
 from std_toolkit.poses.features import FrameMeasure, choose_keyframes, measure_image
-from std_toolkit.scene.document import digest_file, digest_of
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
 # Photos that a video is sampled into, and the smallest number that still helps.
