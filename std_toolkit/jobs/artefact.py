@@ -103,7 +103,7 @@ class Artefact:
         Returns:
             None if there is no record, the record is damaged or differs, or an output is changed.
         """
-        record = read_record(path, type_)
+        record = read_record(path, type_, level)
         if record is None:
             return None
         reason = self.change(record)
@@ -130,15 +130,15 @@ def record_path(root: Path, name: str) -> Path:
     return root / ".std" / "records" / f"{name}.json"
 
 
-def read_record(path: Path, type_: type[D]) -> D | None:
-    """The document of a finished artefact; None, with a warning, if it cannot be read."""
+def read_record(path: Path, type_: type[D], level: int = logging.INFO) -> D | None:
+    """The record of a finished artefact; None, with a message, if it cannot be read."""
     if not path.exists():
         return None
     try:
         return read_document(path, type_)
     except ToolkitError as error:
         # Only a cache is lost: making the files again is always right.
-        logger.warning("%s; made again", error)
+        logger.log(level, "%s; made again", error)
         return None
 
 
