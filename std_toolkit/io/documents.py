@@ -7,7 +7,7 @@ import json
 import math
 import re
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -99,32 +99,6 @@ def document_bytes(document: Any, *, path: Path | str | None = None) -> bytes:
 def write_document(path: Path | str, document: Any) -> None:
     """Write a document atomically as JSON; errors as in `document_bytes`."""
     write_bytes_atomic(path, document_bytes(document, path=path))
-
-
-def begin_folder(path: Path, document: T, *, hint: str, beside: Sequence[str] = ()) -> T:
-    """Read the document that identifies a folder of results, or write it in a new folder.
-
-    Args:
-        path: path of the document.
-        document: document for a new folder.
-        hint: hint for a folder that has other content.
-        beside: names of files that may already exist.
-
-    Returns:
-        The document in the folder, for the caller to compare with its own.
-
-    Raises:
-        ToolkitError: the folder contains files, except hidden ones, but not this document; or it
-            cannot be read or written.
-    """
-    if path.exists():
-        return read_document(path, type(document))
-    if any(p.name[0] != "." and p.name not in beside for p in path.parent.iterdir()):
-        raise ToolkitError(
-            f"the folder contains files but no {path.name}", path=path.parent, hint=hint
-        )
-    write_document(path, document)
-    return document
 
 
 def digest_file(path: Path) -> str:

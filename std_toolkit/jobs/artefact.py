@@ -19,7 +19,6 @@ import msgspec
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import (
-    begin_folder,
     digest_file,
     digest_of,
     read_document,
@@ -177,10 +176,17 @@ def begin(
         beside: names of files that may already exist without the document.
 
     Raises:
-        ToolkitError: the folder has other content, or was begun with other values, which the
-            message lists.
+        ToolkitError: the folder contains files, except hidden ones, but not this document; or it
+            was begun with other values, which the message lists.
     """
-    begun = begin_folder(path, document, hint=hint, beside=beside)
+    if not path.exists():
+        if any(p.name[0] != "." and p.name not in beside for p in path.parent.iterdir()):
+            raise ToolkitError(
+                f"the folder contains files but no {path.name}", path=path.parent, hint=hint
+            )
+        write_document(path, document)
+        return
+    begun = read_document(path, type(document))
     then, now = (_flat(getattr(d, within) if within else d, within) for d in (begun, document))
     changed = differences(then, now)
     if changed:
