@@ -188,20 +188,14 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
         Entry(name=method, title=method, label=method.replace(":", "."), method=method)
         for method in recipe.baselines
     ]
-    trained = {
-        key: _entry(key, variant, config, scale, sets[variant.set], validation, out)
-        for key, variant in variants.items()
-    }
-    poses = {
-        key: _entry(key, pose, config, scale, sets[pose.set], validation, out)
-        for key, pose in wanted.items()
-    }
-    usable = {key: entry for key, entry in trained.items() if not entry.problem}
-    fitting = {key: entry for key, entry in poses.items() if not entry.problem}
-    every = [*usable.values(), *fitting.values()]
-    packs = {pack.folder: pack for entry in every for pack in entry.packs}
-    used = {variants[key].set for key in usable} | {t.set for t in targets if t.set}
-    used |= {recipe.poses[key].set for key in fitting}
+    trained, poses = (
+        {k: _entry(k, v, config, scale, sets[v.set], validation, out) for k, v in chosen.items()}
+        for chosen in (variants, wanted)
+    )
+    usable = [e for e in (*trained.values(), *poses.values()) if not e.problem]
+    packs = {pack.folder: pack for entry in usable for pack in entry.packs}
+    used = {pack.frames.name for pack in packs.values()}
+    used |= {sets[t.set].name for t in targets if t.set}
     extra = "" if not config.seed else f".seed-{config.seed}"
     extra += "" if config.steps is None else f".steps-{config.steps}"
     return RecipePlan(
@@ -210,7 +204,7 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
         scale_name=config.scale,
         scale=scale,
         folder=out / f"{name}{extra}",
-        sets={key: frames for key, frames in sets.items() if key in used},
+        sets={key: frames for key, frames in sets.items() if frames.name in used},
         packs=list(packs.values()),
         entries=[*baselines, *trained.values()],
         targets=[_with_reason(target, recipe, sets) for target in targets],
