@@ -156,11 +156,13 @@ def _score(
         outcome.problems[where] = (
             f"{report.failed_frames} frames failed; failures.csv beside the results tells why"
         )
-    found = [run.read() for run in report.finished]
     if entry.pose is None:
-        outcome.results[entry.name, target] = found
-    elif found:
-        outcome.poses[entry.name, target] = found[0]
+        outcome.results[entry.name, target] = []
+    for found in (run.read() for run in report.finished):
+        if isinstance(found, PoseResult):
+            outcome.poses[entry.name, target] = found
+        else:
+            outcome.results[entry.name, target].append(found)
 
 
 @contextmanager
