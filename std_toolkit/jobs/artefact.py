@@ -9,7 +9,7 @@ Inputs are known by the digest of their content, never by name alone.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +18,7 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import (
     digest_file,
     digest_of,
@@ -108,6 +109,24 @@ class Artefact:
         reason = self.change(record)
         logger.log(level, "%s: %s", self.name, f"stale because {reason}" if reason else "kept")
         return None if reason else record
+
+    def arrays(self, make: Callable[[], Mapping[str, Any]]) -> Mapping[str, Any]:
+        """Arrays of `NAME.npz` in the folder, made and written if they are stale.
+
+        Args:
+            make: computes the arrays, by name.
+        """
+        import numpy as np
+
+        path, record = (self.root / f"{self.name}{suffix}" for suffix in (".npz", ".json"))
+        if self.find(record, Record, logging.INFO) is not None:
+            with np.load(path, allow_pickle=False) as data:
+                return {key: data[key] for key in data.files}
+        made = make()
+        with atomic_path(path) as temporary:
+            np.savez(temporary, **made)
+        write_document(record, self.record([path]))
+        return made
 
     def change(self, then: Record) -> str:
         """What changed since a record was written, for people; "" for nothing."""

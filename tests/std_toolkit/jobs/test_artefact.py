@@ -6,6 +6,7 @@ import logging
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from std_toolkit.errors import ToolkitError
@@ -116,6 +117,26 @@ def test_a_document_may_have_more_fields_than_the_record(artefact: Artefact) -> 
     found = artefact.find(path, Row)
     assert found is not None and found.value == 3
     assert changed(artefact, inputs={}).find(path, Row) is None
+
+
+def test_arrays_are_made_again_if_an_input_changed_or_their_file_is_damaged(tmp_path: Path) -> None:
+    made = []
+
+    def make() -> dict[str, np.ndarray]:
+        made.append(1)
+        return {"x": np.arange(3)}
+
+    part = Artefact(tmp_path, "part", {"photos": "a"})
+    first = part.arrays(make)
+    assert np.array_equal(part.arrays(make)["x"], first["x"])
+    assert len(made) == 1
+    other = Artefact(tmp_path, "part", {"photos": "b"})
+    other.arrays(make)
+    assert len(made) == 2
+    (kept,) = tmp_path.glob("*.npz")
+    kept.write_bytes(kept.read_bytes()[:60])
+    assert np.array_equal(other.arrays(make)["x"], first["x"])
+    assert len(made) == 3
 
 
 class Setup(msgspec.Struct, frozen=True, kw_only=True):
