@@ -212,11 +212,11 @@ def begin(
         first, *others = changed
         more = "".join(f"; {n}: {then.get(n)!r} then, {now.get(n)!r} now" for n in others)
         raise ToolkitError(
-            f"{what} begun with {then.get(first)!r}{more}".lstrip(),
+            f"{what} begun with {then.get(first)!r}".lstrip(),
             path=path,
             field=first,
             value=now.get(first),
-            hint=hint,
+            hint=hint + more,
         )
 
 
