@@ -291,7 +291,7 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
         begin(
             folder / run.manifest_name,
             manifest,
-            within="setup",
+            within=["setup"],
             what="these results were",
             hint=f"choose another {'--label or ' if hasattr(manifest, 'label') else ''}--out",
             beside=run.beside,

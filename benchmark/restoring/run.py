@@ -187,7 +187,7 @@ def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: Exi
     begin(
         out / RECORD,
         record,
-        within="setup",
+        within=["setup"],
         what="these results were",
         hint="choose another --out",
         beside=("recordings",),

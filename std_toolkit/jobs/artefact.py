@@ -179,7 +179,7 @@ def begin(
     path: Path,
     document: Any,
     *,
-    within: str = "",
+    within: Sequence[str] = (),
     what: str = "",
     hint: str,
     beside: Sequence[str] = (),
@@ -189,7 +189,7 @@ def begin(
     Args:
         path: path of the document.
         document: structure or dataclass that describes the folder.
-        within: field that decides; the others only inform. All decide by default.
+        within: fields that decide; the others only inform. All decide by default.
         what: subject of the message, such as "this pack was".
         hint: what to do about a folder of other content.
         beside: names of files that may already exist without the document.
@@ -199,14 +199,18 @@ def begin(
             was begun with other values, which the message lists.
     """
     if not path.exists():
-        if any(p.name[0] != "." and p.name not in beside for p in path.parent.iterdir()):
+        there = path.parent.iterdir() if path.parent.is_dir() else ()
+        if any(p.name[0] != "." and p.name not in beside for p in there):
             raise ToolkitError(
                 f"the folder contains files but no {path.name}", path=path.parent, hint=hint
             )
         write_document(path, document)
         return
     begun = read_document(path, type(document))
-    then, now = (_flat(getattr(d, within) if within else d, within) for d in (begun, document))
+    then, now = (
+        _flat({name: getattr(d, name) for name in within} if within else d)
+        for d in (begun, document)
+    )
     changed = differences(then, now)
     if changed:
         first, *others = changed
@@ -220,7 +224,7 @@ def begin(
         )
 
 
-def _flat(value: Any, prefix: str) -> dict[str, Any]:
+def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     """Fields of nested structures and mappings by their paths."""
     items = msgspec.to_builtins(value)
     if not isinstance(items, dict):

@@ -90,7 +90,7 @@ def test_a_later_failure_does_not_replace_an_earlier_success(tmp_path: Path, joi
     if joined:
         go_on(tmp_path, "", 0.1)
     else:  # killed before its parts were joined
-        begin(tmp_path / MANIFEST, AManifest(), within="setup", hint="")
+        begin(tmp_path / MANIFEST, AManifest(), within=["setup"], hint="")
         write_part(tmp_path, 0, 1, rows([0, 1], "", 0.1))
     table = go_on(tmp_path, "out of memory", 9.0)
     assert table[INDEX].tolist() == [0, 0, 1, 1]

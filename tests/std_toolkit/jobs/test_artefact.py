@@ -152,9 +152,9 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
 def test_a_folder_goes_on_with_the_same_values_only(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     first = Run(setup=Setup(size=(2, 3)), host="a")
-    begin(path, first, within="setup", hint="choose another")
+    begin(path, first, within=["setup"], hint="choose another")
     text = path.read_bytes()
-    begin(path, Run(setup=first.setup, host="b"), within="setup", hint="choose another")
+    begin(path, Run(setup=first.setup, host="b"), within=["setup"], hint="choose another")
     assert path.read_bytes() == text
     with pytest.raises(ToolkitError, match=r"host: begun with 'a' \(got 'b'\)"):
         begin(path, Run(setup=first.setup, host="b"), hint="choose another")
@@ -162,7 +162,7 @@ def test_a_folder_goes_on_with_the_same_values_only(tmp_path: Path) -> None:
     with pytest.raises(
         ToolkitError, match=r"setup.size: begun with \(2, 3\) \(got \(2, 4\)\)"
     ) as told:
-        begin(path, other, within="setup", hint="choose another")
+        begin(path, other, within=["setup"], hint="choose another")
     assert told.value.hint == "choose another; setup.note: '' then, 'n' now"
     (tmp_path / "run.json").unlink()
     (tmp_path / "other").touch()
