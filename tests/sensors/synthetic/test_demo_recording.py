@@ -136,7 +136,7 @@ def test_recordings_do_not_mix(tmp_path: Path) -> None:
         make_simulated_recording(other, SMALL)
     (tmp_path / "quick").mkdir()
     (tmp_path / "quick" / "truth.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(ToolkitError, match="contains files but no simulated.json"):
+    with pytest.raises(ToolkitError, match=r"contains files but no simulated\.json"):
         make_simulated_recording(tmp_path / "quick", SMALL)
     with pytest.raises(ToolkitError, match="at least 1"):
         SimulatedOptions(frames=0)
