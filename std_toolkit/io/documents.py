@@ -16,6 +16,7 @@ import msgspec
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.settings import changed
 
 T = TypeVar("T")
 
@@ -129,9 +130,10 @@ def digest_of(*parts: Any, versioned: bool = True) -> str:
 
     Args:
         parts: the values.
-        versioned: include the version of the toolkit.
+        versioned: include the version of the toolkit, and its limits that differ from the defaults.
     """
-    encoded = msgspec.json.encode([__version__ if versioned else "", *parts], order="sorted")
+    tool = [__version__, changed()] if versioned else []
+    encoded = msgspec.json.encode([tool, *parts], order="sorted")
     return hashlib.blake2b(encoded, digest_size=16).hexdigest()
 
 

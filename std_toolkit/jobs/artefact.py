@@ -26,6 +26,7 @@ from std_toolkit.io.documents import (
     write_document,
 )
 from std_toolkit.log import logger
+from std_toolkit.settings import changed
 
 D = TypeVar("D")
 
@@ -42,7 +43,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         name: name of the artefact, such as that of a step.
         version: version of the toolkit that made it.
         inputs: digest of the content by name of the input.
-        options: options that determine the result.
+        options: options that determine the result, and limits that differ from the defaults.
         outputs: digest of the content by path of the file.
     """
 
@@ -61,7 +62,8 @@ class Artefact:
         root: folder that paths of outputs are relative to.
         name: what it is called in messages and in its record.
         inputs: digest of the content by name; a changed name is a change, too.
-        options: plain values that determine the result.
+        options: plain values that determine the result; limits that a file of settings changes
+            count as well.
     """
 
     root: Path
@@ -71,7 +73,7 @@ class Artefact:
 
     @property
     def digest(self) -> str:
-        """Digest of everything that determines the result, the toolkit's version included."""
+        """Digest of everything that determines the result, version and limits included."""
         return digest_of(self.name, self.inputs, self.options)
 
     def record(self, outputs: Iterable[Path] = ()) -> Record:
@@ -80,7 +82,7 @@ class Artefact:
             name=self.name,
             version=__version__,
             inputs=dict(self.inputs),
-            options=msgspec.json.decode(msgspec.json.encode(self.options)),
+            options=msgspec.json.decode(msgspec.json.encode({**self.options, **changed()})),
             outputs={p.relative_to(self.root).as_posix(): digest_file(p) for p in sorted(outputs)},
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import fields, replace
 from pathlib import Path
 
 import msgspec
@@ -15,6 +16,7 @@ from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import digest_file, digest_files, digest_of
 from std_toolkit.jobs import artefact as module
 from std_toolkit.jobs.artefact import Artefact, Record, begin, record_path
+from std_toolkit.settings import override
 
 
 @pytest.fixture
@@ -54,6 +56,18 @@ def test_the_log_names_what_changed(artefact: Artefact, caplog) -> None:
     assert "stale because threshold was 0.1" in reason(other, caplog)
     other = changed(artefact, inputs={str(i): "" for i in range(9)})
     assert "and 7 more" in reason(other, caplog)
+
+
+def test_another_limit_makes_it_stale(artefact: Artefact, caplog) -> None:
+    from std_toolkit.labels.texture.comparison import TextureSettings
+
+    before, plain = artefact.digest, TextureSettings()
+    name = next(f.name for f in fields(plain) if isinstance(getattr(plain, f.name), float))
+    with override(replace(plain, **{name: 0.9 * getattr(plain, name)})):
+        told = reason(artefact, caplog)
+        assert f"stale because labels.texture.comparison.{name} was None" in told
+        assert artefact.digest != before
+    assert artefact.is_kept() and artefact.digest == before
 
 
 @pytest.mark.parametrize("change", ["edited", "removed", "made_a_folder"])
