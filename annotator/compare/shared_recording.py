@@ -9,9 +9,9 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import umeyama
+from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import read_color
 from std_toolkit.scene import Frame, Scene
-from std_toolkit.scene.document import digest_file
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Number of images compared in addition to those of labelled frames.

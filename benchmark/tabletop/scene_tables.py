@@ -21,10 +21,10 @@ from sensors.physics import PhysicalObject, convex_parts, settle_from
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.documents import digest_file
 from std_toolkit.labels.support.plane import TablePlane
 from std_toolkit.labels.support.table import search_table
 from std_toolkit.log import logger
-from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.scene import Scene
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
