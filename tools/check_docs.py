@@ -193,10 +193,8 @@ def help_page(program: str, first: str, live: bool) -> str:
     out = io.StringIO()
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(out):
         made.main([*words, "--help"] if "--help" not in words else words)
-    # Older spellings and the options of every program.
-    return (
-        out.getvalue() + " --help --version --quiet --debug --print-completion --task --check-data"
-    )
+    # And the options of every program.
+    return out.getvalue() + " --help --version --quiet --debug --print-completion"
 
 
 def check_docstrings() -> Iterator[str]:

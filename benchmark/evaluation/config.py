@@ -24,6 +24,9 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 Fit = Literal["ransac", "paper"]
 FITS: tuple[Fit, ...] = get_args(Fit)
 
+# Before the label and an id of a method that is an object of this process.
+OBJECT = "object:"
+
 _LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 _LONGEST_LABEL = 120  # file systems stop at 255 bytes
 
@@ -390,7 +393,11 @@ def plain_label(name: str) -> str:
     'file.py.Class'
     >>> plain_label("command:docker run megapose")
     'command.docker'
+    >>> plain_label("object:Mine:0f3a")
+    'Mine'
     """
+    if name.startswith(OBJECT):
+        return name.split(":")[1]
     if name.startswith("command:"):
         words = name.removeprefix("command:").split()
         return f"command.{Path(words[0]).name}" if words else "command"
