@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import importlib
 import sys
+import types
+import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields, replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import module_from_spec, spec_from_file_location
@@ -24,6 +27,10 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
+Config = TypeVar("Config")
+
+_TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
+_FALSITIES = {"false": False, "no": False, "off": False, "0": False}
 
 
 def _module_of_file(path: str) -> ModuleType:
@@ -124,6 +131,74 @@ class Registry(Generic[T]):
             raise ToolkitError(
                 f"cannot import plug-in for {self.group}: {reason}", value=target
             ) from error
+
+
+def setting_of(text: str) -> tuple[str, str]:
+    """Name and value of `NAME=VALUE`, a plug-in's own setting.
+
+    Raises:
+        ToolkitError: the text has no name or no value.
+
+    >>> setting_of("reach=30")
+    ('reach', '30')
+    """
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
+    return name, value
+
+
+def configured(config: Config, settings: Mapping[str, str], *, of: str = "method") -> Config:
+    """`config`, a dataclass, with the fields named in `settings` set.
+
+    Fields may be bool, int, float, str, literals, tuples of one of them (`96,192,384`), and any
+    of these or None (`none`).
+
+    Args:
+        of: kind of the plug-in, for errors.
+
+    Raises:
+        ToolkitError: no such field, or text that is no value for it.
+    """
+    hints = typing.get_type_hints(type(config))
+    known = [field.name for field in fields(config)]  # type: ignore[arg-type]
+    changes: dict[str, Any] = {}
+    for name, text in settings.items():
+        if name not in known:
+            raise ToolkitError(
+                f"the {of} has no such setting", field=name, hint=f"it has {', '.join(known)}"
+            )
+        try:
+            changes[name] = _value(hints[name], text.strip())
+        except ValueError as error:
+            raise ToolkitError(str(error), field=name, value=text) from error
+    return replace(config, **changes)  # type: ignore[type-var]
+
+
+def _value(kind: Any, text: str) -> Any:
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Literal:
+        if text not in arguments:
+            raise ValueError(f"expected one of {', '.join(arguments)}")
+        return text
+    if origin in (types.UnionType, typing.Union):
+        if text.lower() == "none" and type(None) in arguments:
+            return None
+        (kind,) = (a for a in arguments if a is not type(None))
+        return _value(kind, text)
+    if origin is tuple:
+        parts = text.split(",")
+        if arguments[-1] is not Ellipsis and len(parts) != len(arguments):
+            raise ValueError(f"expected {len(arguments)} values with commas between them")
+        return tuple(_value(arguments[0], part.strip()) for part in parts)
+    if kind is bool:
+        if (truth := {**_TRUTHS, **_FALSITIES}.get(text.lower())) is None:
+            raise ValueError("expected true or false")
+        return truth
+    try:
+        return kind(text)
+    except ValueError:
+        raise ValueError(f"expected {'a whole number' if kind is int else 'a number'}") from None
 
 
 def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], object]:

@@ -16,6 +16,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.options import JobOptions
+from std_toolkit.plugins import setting_of
 
 if TYPE_CHECKING:
     from benchmark.methods.registry import MethodOptions
@@ -358,9 +359,7 @@ def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str
     """
     settings: dict[str, dict[str, str]] = {method: {} for method in methods}
     for method, text in _by_method(texts, methods, "settings", "."):
-        name, equals, value = text.partition("=")
-        if not (name and equals):
-            raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
+        name, value = setting_of(text)
         settings[method][name] = value
     return settings
 

@@ -11,7 +11,7 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import EXPORTERS, Exporter, FrameRow, Target
+from std_toolkit.exporters.exporter import Exporter, FrameRow, Target, get_exporter
 from std_toolkit.exporters.frame_maps import check_fresh, color_camera
 from std_toolkit.exporters.staging import (
     PROGRESS,
@@ -70,7 +70,7 @@ def export_scene(
     out = Path(out)
     if out.resolve().is_relative_to(scene.root.resolve()):
         raise ToolkitError("an export cannot be inside its scene", path=out, field="--out")
-    exporter = EXPORTERS.get(format_name)
+    exporter = get_exporter(format_name, options.settings)
     target = plan(scene, out, options)
     exporter.check(target)
     documents = _documents_digest(scene)
@@ -173,7 +173,7 @@ def _export_frame(
     key = f"{frame_id:06d}"
     if (row := finished_row(target.root, key, digest)) is not None:
         return row
-    exporter: Exporter = EXPORTERS.get(format_name)
+    exporter = get_exporter(format_name, options.settings)
     row = exporter.write_frame(target, target.scene.frame(frame_id))
     record_row(target.root, key, digest, row)
     return row
@@ -336,4 +336,5 @@ def _export_digest(target: Target, format_name: str, frames: dict[int, str]) -> 
 
 
 def _options_key(options: ExportOptions) -> list[object]:
-    return [options.label_size, options.scene_number, options.split, options.quaternion]
+    own = [sorted(options.settings)] if options.settings else []
+    return [options.label_size, options.scene_number, options.split, options.quaternion, *own]
