@@ -87,7 +87,9 @@ def evaluate(
 ) -> pd.DataFrame:
     """Score every method on every split by every protocol, as `std-bench` does.
 
-    A frame at which a method fails counts as missing everywhere, and is logged.
+    A frame at which a method fails counts as missing everywhere, and is logged. Work runs in other
+    processes: a script calls it under `if __name__ == "__main__":`, or gives
+    `jobs=JobOptions(engine="serial")`.
 
     Args:
         methods: one, or a sequence, of: a name of `std-bench list methods`; `file.py:Class` or
