@@ -87,8 +87,8 @@ _MODULES = {
     "ScanOptions": "scanning.options",
     "Scene": "scene.scene",
     "ToolkitError": "errors",
-    "add_model": "labels.label",
-    "add_object": "labels.label",
+    "add_model": "labels.entry.label",
+    "add_object": "labels.entry.label",
     "estimate_poses": "poses.pose_step",
     "export_scene": "exporters.export_step",
     "failed_gates": "poses.pose_step",
@@ -99,10 +99,10 @@ _MODULES = {
     "render_ground_truth": "rendering.render_step",
     "rendered_frames": "rendering.ground_truth",
     "run_check": "checks.check_step",
-    "run_label_command": "labels.label_command",
+    "run_label_command": "labels.entry.label_command",
     "scan": "scanning.scan_step",
-    "set_pose": "labels.label",
-    "solve_pnp": "labels.pnp",
+    "set_pose": "labels.entry.label",
+    "solve_pnp": "labels.entry.pnp",
 }
 
 install()

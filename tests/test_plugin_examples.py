@@ -55,7 +55,7 @@ def places() -> dict[str, str]:
     for package in PACKAGES:
         for path in (REPOSITORY / package).rglob("*.py"):
             text = path.read_text(encoding="utf-8")
-            for group in re.findall(r"Registry\(\s*\"(std_toolkit\.\w+)\"", text):
+            for group in re.findall(r"\(\s*\"(std_toolkit\.\w+)\",\s*\{", text):
                 found[group] = ".".join(path.relative_to(REPOSITORY).with_suffix("").parts)
     return found
 

@@ -62,7 +62,7 @@ def list_names(options: ListOptions) -> int:
     """Print methods or splits with a line about each; returns the exit status."""
     import inspect
 
-    from benchmark.methods import registry
+    from benchmark.methods.registry import METHODS
     from std_toolkit.errors import ToolkitError
 
     about: dict[str, str] = {}
@@ -71,11 +71,7 @@ def list_names(options: ListOptions) -> int:
 
         about = {name: get_split(name).about for name in splits.names()}
     else:
-        methods: Any = {
-            "depth": registry.restorers,
-            "pose": registry.pose_methods,
-            "grasp": registry.grasp_planners,
-        }[options.task]
+        methods = METHODS[options.task]
         for name in methods.names():
             try:
                 about[name] = (inspect.getdoc(methods.get(name)) or "").partition("\n")[0]

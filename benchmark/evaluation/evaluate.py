@@ -23,7 +23,7 @@ from benchmark.evaluation.config import (
     checked_label,
 )
 from benchmark.evaluation.engine import Campaign, Task, run_all
-from benchmark.methods.registry import pose_methods, restorers
+from benchmark.methods.registry import METHODS
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 
@@ -68,11 +68,7 @@ def score_config(config: NetworkConfig | BopConfig) -> Scored:
         return Scored(config, task, campaign, [run.read() for run in campaign.finished])
 
 
-# By task: its options, the registry of its methods, and what one of them is asked to do.
-_TASKS: dict[str, tuple[type[FrameConfig], Any, str]] = {
-    "depth": (DepthConfig, restorers, "restore"),
-    "pose": (PoseConfig, pose_methods, "estimate"),
-}
+_CONFIGS: dict[str, type[FrameConfig]] = {"depth": DepthConfig, "pose": PoseConfig}
 
 
 def evaluate(
@@ -122,15 +118,15 @@ def evaluate(
             table = evaluate(["raw", "nearest", MyRestorer], "scenes", data="scenes/")
             table.pivot(index="method", columns="subset", values="mae")
     """
-    if task not in _TASKS:
-        raise ToolkitError(f"expected one of {', '.join(_TASKS)}", field="task", value=task)
-    config_type, registry, verb = _TASKS[task]
+    if task not in _CONFIGS:
+        raise ToolkitError(f"expected one of {', '.join(_CONFIGS)}", field="task", value=task)
+    config_type, registry = _CONFIGS[task], METHODS[task]
     known = {field.name for field in fields(config_type)} - {"methods", "splits", "protocols"}
     if wrong := [name for name in options if name not in known]:
         raise ToolkitError(
             "is no option of evaluate", field=wrong[0], hint=f"options: {', '.join(sorted(known))}"
         )
-    names, objects = _named(methods, verb)
+    names, objects = _named(methods, registry.called)
     if out is None:
         options = {"gallery": False, **({"speed": False} if task == "depth" else {}), **options}
     if objects:  # other processes do not have them

@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from benchmark.methods.protocol import GraspPlanner, PoseEstimator, Restorer
 from std_toolkit.errors import ToolkitError, missing_extra
@@ -26,83 +26,10 @@ COMMAND = "command:"
 
 SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 
-pose_methods: Registry[PoseMethodFactory] = Registry(
-    "std_toolkit.pose_methods",
-    {
-        "gt-nocs": "benchmark.methods.pose.ground_truth:GroundTruthNOCS",
-        "swindrnet-nocs": "benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs:SwinDRNetNOCS",
-        "nocs": "benchmark.methods.pose.nocs.nocs:NOCS",
-        "crop-nocs": "benchmark.methods.pose.crop_nocs:CropNOCS",
-        "spd": "benchmark.methods.pose.spd:SPD",
-        "sgpa": "benchmark.methods.pose.sgpa:SGPA",
-    },
-)
-
-grasp_planners: Registry[PlannerFactory] = Registry(
-    "std_toolkit.grasp_planners",
-    {
-        "antipodal": "benchmark.methods.grasp.antipodal.antipodal:Antipodal",
-        "flat-patches": "benchmark.methods.grasp.flat_patches:FlatPatches",
-        "graspnet": "benchmark.methods.grasp.graspnet.graspnet:GraspNet",
-    },
-)
-
-
-def make_method(
-    registry: Registry[Callable[[Any], T]],
-    name: str,
-    options: object,
-    *,
-    called: str,
-    has: Sequence[str] = (),
-    guide: str,
-) -> T:
-    """A method by its name, or by `package.module:Class`.
-
-    Args:
-        registry: of its kind.
-        name: which one.
-        options: what its class takes.
-        called: the method that it must have.
-        has: attributes that it must have.
-        guide: the page that shows how one is written.
-
-    Raises:
-        ToolkitError: no such method, one that lacks a part, or what it says of its options.
-    """
-    factory = registry.get(name)
-    if not callable(factory):
-        raise ToolkitError(
-            "is not a class that takes MethodOptions", value=name, hint=f"{guide} shows one"
-        )
-    try:
-        method = factory(options)
-    except (ToolkitError, MemoryError):
-        raise
-    except Exception as error:
-        if (missing := missing_extra(error)) is not None:
-            raise missing from error
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise ToolkitError(
-            f"the method cannot be made: {type(error).__name__}: {' '.join(str(error).split())}",
-            value=name,
-            hint=f"raised in {place.filename}, line {place.lineno}",
-        ) from error
-    absent = [part for part in has if not hasattr(method, part)]
-    absent += [] if callable(getattr(method, called, None)) else [called]
-    if absent:
-        raise ToolkitError(
-            "the method has no such attribute",
-            field=", ".join(absent),
-            value=name,
-            hint=f"{guide} tells what a method must have",
-        )
-    return method
-
 
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions:
-    """How to make a restorer.
+    """How to make a method.
 
     Attributes:
         preset: size of a network: `published` or `compact`; others ignore it.
@@ -121,9 +48,70 @@ class MethodOptions:
     settings: Mapping[str, str] = field(default_factory=dict)
 
 
-RestorerFactory = Callable[[MethodOptions], Restorer]
+class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
+    """The methods of a task: classes and functions that take `MethodOptions`.
 
-restorers: Registry[RestorerFactory] = Registry(
+    Args:
+        group: entry-point group.
+        builtin: name to `package.module:Class`.
+        called: the method that each must have.
+        has: attributes that each must have.
+        guide: the page that shows how one is written.
+    """
+
+    def __init__(
+        self,
+        group: str,
+        builtin: dict[str, str],
+        *,
+        called: str,
+        has: Sequence[str] = (),
+        guide: str,
+    ) -> None:
+        super().__init__(group, builtin)
+        self.called, self.has, self.guide = called, has, guide
+
+    def make(self, name: str, options: MethodOptions | None = None) -> T:
+        """A method by its name, by `package.module:Class`, or by `file.py:Class`.
+
+        Raises:
+            ToolkitError: no such method, one that lacks a part, or what it says of its options and
+                weights.
+        """
+        factory = self.get(name)
+        if not callable(factory):
+            raise ToolkitError(
+                "is not a class that takes MethodOptions",
+                value=name,
+                hint=f"{self.guide} shows one",
+            )
+        try:
+            method = factory(options or MethodOptions())
+        except (ToolkitError, MemoryError):
+            raise
+        except Exception as error:
+            if (missing := missing_extra(error)) is not None:
+                raise missing from error
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            text = " ".join(str(error).split())
+            raise ToolkitError(
+                f"the method cannot be made: {type(error).__name__}: {text}",
+                value=name,
+                hint=f"raised in {place.filename}, line {place.lineno}",
+            ) from error
+        absent = [part for part in self.has if not hasattr(method, part)]
+        absent += [] if callable(getattr(method, self.called, None)) else [self.called]
+        if absent:
+            raise ToolkitError(
+                "the method has no such attribute",
+                field=", ".join(absent),
+                value=name,
+                hint=f"{self.guide} tells what a method must have",
+            )
+        return method
+
+
+restorers: MethodRegistry[Restorer] = MethodRegistry(
     "std_toolkit.restorers",
     {
         "raw": "benchmark.methods.depth.filling.filler:Raw",
@@ -141,23 +129,59 @@ restorers: Registry[RestorerFactory] = Registry(
         "two-branch": "benchmark.methods.depth.two_branch:TwoBranch",
         "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
     },
+    called="restore",
+    has=("input_size", "needs_mask"),
+    guide="docs/methods.md",
 )
 
 
-def make_restorer(name: str, options: MethodOptions | None = None) -> Restorer:
-    """A restorer by its name, or by `package.module:Class`.
+class _PoseMethods(MethodRegistry[PoseEstimator]):
+    def make(self, name: str, options: MethodOptions | None = None) -> PoseEstimator:
+        """As `MethodRegistry.make`, or a program as `command:PROGRAM ARGUMENTS`."""
+        if name.startswith(COMMAND):
+            given = options or MethodOptions()
+            settings = {**given.settings, "command": name.removeprefix(COMMAND)}
+            options = replace(given, settings=settings)
+            name = "benchmark.methods.pose.command:CommandMethod"
+        return super().make(name, options)
 
-    Raises:
-        ToolkitError: no such method, or what the method says of its options and weights.
-    """
-    return make_method(
-        restorers,
-        name,
-        options or MethodOptions(),
-        called="restore",
-        has=("input_size", "needs_mask"),
-        guide="docs/methods.md",
-    )
+
+pose_methods = _PoseMethods(
+    "std_toolkit.pose_methods",
+    {
+        "gt-nocs": "benchmark.methods.pose.ground_truth:GroundTruthNOCS",
+        "swindrnet-nocs": "benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs:SwinDRNetNOCS",
+        "nocs": "benchmark.methods.pose.nocs.nocs:NOCS",
+        "crop-nocs": "benchmark.methods.pose.crop_nocs:CropNOCS",
+        "spd": "benchmark.methods.pose.spd:SPD",
+        "sgpa": "benchmark.methods.pose.sgpa:SGPA",
+    },
+    called="estimate",
+    has=("input_size", "needs_truth"),
+    guide="docs/pose.md",
+)
+
+grasp_planners: MethodRegistry[GraspPlanner] = MethodRegistry(
+    "std_toolkit.grasp_planners",
+    {
+        "antipodal": "benchmark.methods.grasp.antipodal.antipodal:Antipodal",
+        "flat-patches": "benchmark.methods.grasp.flat_patches:FlatPatches",
+        "graspnet": "benchmark.methods.grasp.graspnet.graspnet:GraspNet",
+    },
+    called="plan",
+    guide="docs/grasp_methods.md",
+)
+
+# By task.
+METHODS: dict[str, MethodRegistry[Any]] = {
+    "depth": restorers,
+    "pose": pose_methods,
+    "grasp": grasp_planners,
+}
+
+make_restorer = restorers.make
+make_pose_method = pose_methods.make
+make_planner = grasp_planners.make
 
 
 def preset_of(presets: Mapping[str, Config], name: str) -> Config:
@@ -240,45 +264,3 @@ def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
             if shipped_file(method, preset).is_file():
                 return preset
     return PUBLISHED
-
-
-PoseMethodFactory = Callable[[MethodOptions], PoseEstimator]
-
-
-def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEstimator:
-    """A pose method by its name, by `package.module:Class`, or as `command:PROGRAM ARGUMENTS`.
-
-    Raises:
-        ToolkitError: no such method, or what the method says of its options and weights.
-    """
-    if name.startswith(COMMAND):
-        given = options or MethodOptions()
-        settings = {**given.settings, "command": name.removeprefix(COMMAND)}
-        options = replace(given, settings=settings)
-        name = "benchmark.methods.pose.command:CommandMethod"
-    return make_method(
-        pose_methods,
-        name,
-        options or MethodOptions(),
-        called="estimate",
-        has=("input_size", "needs_truth"),
-        guide="docs/pose.md",
-    )
-
-
-PlannerFactory = Callable[[MethodOptions], GraspPlanner]
-
-
-def make_planner(name: str, options: MethodOptions | None = None) -> GraspPlanner:
-    """A planner by its name, or by `package.module:Class`.
-
-    Raises:
-        ToolkitError: no such planner, or what the planner says of its options and weights.
-    """
-    return make_method(
-        grasp_planners,
-        name,
-        options or MethodOptions(),
-        called="plan",
-        guide="docs/grasp_methods.md",
-    )

@@ -17,7 +17,7 @@ from std_toolkit.poses.scale_sources import ScaleContext
 from std_toolkit.rendering.ground_truth import read_frame_truth
 from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import Raster
-from std_toolkit.scanning.depth_maps import depth_maps
+from std_toolkit.scanning.surface.depth_maps import depth_maps
 from std_toolkit.scene.model import CameraModel, Frame
 from std_toolkit.scene.scale_model import ScaleEstimate
 
