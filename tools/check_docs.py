@@ -36,6 +36,7 @@ API: dict[str, tuple[str, dict[str, list[str]]]] = {
                 *("PropagateOptions", "propagate_labels", "refine_labels", "RenderOptions"),
                 *("render_ground_truth", "rendered_frames", "read_ground_truth", "CheckOptions"),
                 *("run_check", "ExportOptions", "export_scene", "JobOptions"),
+                *("ScanOptions", "scan"),
             ],
             "std_toolkit.cameras": ["LiveFrame", "CameraRequest", "LiveCamera"],
             "std_toolkit.importers.importer": ["Importer", "Recording", "SourceFrame"],
@@ -44,7 +45,7 @@ API: dict[str, tuple[str, dict[str, list[str]]]] = {
     "benchmark": (
         "Benchmark in Python",
         {
-            "benchmark": ["Restorer", "RestoredFrame"],
+            "benchmark": ["evaluate", "read_results", "Restorer", "RestoredFrame"],
             "benchmark.methods.protocol": ["View", "Restored", "Restorer"],
             "benchmark.methods.registry": ["MethodOptions", "make_restorer"],
             "benchmark.data.splits": ["open_split", "get_split", "iterate"],

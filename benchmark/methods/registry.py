@@ -179,9 +179,20 @@ METHODS: dict[str, MethodRegistry[Any]] = {
     "grasp": grasp_planners,
 }
 
-make_restorer = restorers.make
-make_pose_method = pose_methods.make
-make_planner = grasp_planners.make
+
+def make_restorer(name: str, options: MethodOptions | None = None) -> Restorer:
+    """A depth restorer; see `MethodRegistry.make`."""
+    return restorers.make(name, options)
+
+
+def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEstimator:
+    """A pose method; see `MethodRegistry.make`. `command:PROGRAM ARGUMENTS` runs a program."""
+    return pose_methods.make(name, options)
+
+
+def make_planner(name: str, options: MethodOptions | None = None) -> GraspPlanner:
+    """A grasp planner; see `MethodRegistry.make`."""
+    return grasp_planners.make(name, options)
 
 
 def preset_of(presets: Mapping[str, Config], name: str) -> Config:
