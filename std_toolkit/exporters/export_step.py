@@ -11,7 +11,7 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import EXPORTERS, Exporter, FrameRow, Target
+from std_toolkit.exporters.exporter import Exporter, FrameRow, Target, get_exporter
 from std_toolkit.exporters.frame_maps import check_fresh, color_camera
 from std_toolkit.exporters.staging import (
     Progress,
@@ -69,7 +69,7 @@ def export_scene(
     out = Path(out)
     if out.resolve().is_relative_to(scene.root.resolve()):
         raise ToolkitError("an export cannot be inside its scene", path=out, field="--out")
-    exporter = EXPORTERS.get(format_name)
+    exporter = get_exporter(format_name, options.settings)
     target = plan(scene, out, options)
     exporter.check(target)
     documents = _documents_digest(scene)
@@ -172,7 +172,7 @@ def _export_frame(
     path = progress_path(target.root, frame_id)
     if (progress := artefact.find(path, Progress)) is not None:
         return progress.row
-    exporter: Exporter = EXPORTERS.get(format_name)
+    exporter = get_exporter(format_name, options.settings)
     row = exporter.write_frame(target, target.scene.frame(frame_id))
     made = artefact.record(target.root / name for name in row.outputs)
     write_document(path, Progress(**msgspec.structs.asdict(made), row=row))
@@ -330,4 +330,5 @@ def _export_digest(target: Target, format_name: str, frames: dict[int, Artefact]
 
 def _options(target: Target, format_name: str) -> dict[str, object]:
     names = ("label_size", "scene_number", "split", "quaternion")
-    return {"format": format_name, **{name: getattr(target.options, name) for name in names}}
+    given = {name: getattr(target.options, name) for name in names}
+    return {"format": format_name, **given, "settings": sorted(target.options.settings)}

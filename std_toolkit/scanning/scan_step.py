@@ -48,7 +48,15 @@ class SupportSettings(Settings):
 
 
 def scan(options: ScanOptions) -> Scan:
-    """Make the model of an object from photos and write it to `options.out`.
+    """Make the model of an object from photos and write it to `options.out`, as `std-scan` does.
+
+    A scan that was interrupted resumes. See `examples/09_scan_an_object.py`.
+
+    Args:
+        options: photos, board, folder of the model, and everything else.
+
+    Returns:
+        The model in metres, in its own frame (z up where it stood on the board).
 
     Raises:
         ToolkitError: the photos do not suffice; the message says what to photograph.
