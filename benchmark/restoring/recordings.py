@@ -18,7 +18,7 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, check_unit, read_foreign_depth
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import IMPORTERS, Recording, SourceFile, detect_format
-from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
+from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
 from std_toolkit.importers.ros_importer import is_ros_recording
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
@@ -186,9 +186,7 @@ def _pair(color: Path, depth: Path, images: ImageOptions) -> FrameFiles:
             hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
         )
     size = image_size(color)
-    intrinsics = read_intrinsics(images.intrinsics, size=size)
-    if images.distortion is not None:
-        intrinsics = replace(intrinsics, distortion=parse_distortion(images.distortion))
+    intrinsics = with_distortion(read_intrinsics(images.intrinsics, size=size), images.distortion)
     return FrameFiles(
         safe_name(color.stem),
         color,
