@@ -21,7 +21,7 @@ from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_depth_png16, write_png
-from std_toolkit.scene.document import digest_file
+from std_toolkit.scene.document import digest_file, digest_of
 
 RECORD = "restore.json"
 # 16-bit PNG of depth that was an EXR: metres per unit.
@@ -107,7 +107,8 @@ class FrameRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """`frames/NAME.json`: inputs and outcome of a frame; written last.
 
     Attributes:
-        color, depth: 128-bit BLAKE2b hashes of the images.
+        color, depth: 128-bit BLAKE2b hashes of the images; that of undistorted depth covers the
+            cameras, too.
         unit: metres per number of the restored 16-bit PNG; 1 for EXR.
         measured: share of the pixels that the sensor measured.
         kept: share that keeps the sensor's depth.
@@ -143,6 +144,10 @@ class FramePaths:
     @property
     def depth(self) -> Path:
         return self.out / "depth" / f"{self.name}{'.exr' if self.exr else '.png'}"
+
+    @property
+    def color(self) -> Path:
+        return self.out / "color" / f"{self.name}.png"
 
     @property
     def confidence(self) -> Path:
@@ -183,8 +188,11 @@ def paths_of(out: Path, frame: FrameFiles, depth_format: DepthFormat) -> FramePa
 
 
 def digests(frame: FrameFiles) -> tuple[str, str]:
-    """Hashes of the images of a frame."""
-    return digest_file(frame.color), digest_file(frame.depth)
+    """Hashes of the images of a frame, and of their undistortion."""
+    color, depth = digest_file(frame.color), digest_file(frame.depth)
+    if frame.undistortion is not None:
+        depth = digest_of(depth, repr(frame.undistortion), versioned=False)
+    return color, depth
 
 
 def write_frame(
@@ -216,6 +224,8 @@ def write_frame(
     write_png(paths.changed, changed.astype(np.uint8) * np.uint8(255))
     if restored.confidence is not None:
         write_png(paths.confidence, np.rint(255 * restored.confidence).astype(np.uint8))
+    if frame.undistortion is not None:
+        write_color(paths.color, color)
     if setup.points:
         write_bytes_atomic(paths.points, point_cloud(color, depth, frame.camera))
     if setup.pictures:
@@ -233,6 +243,17 @@ def write_frame(
     )
     write_document(paths.record, record)
     return record
+
+
+def write_intrinsics(path: Path, camera: Camera) -> None:
+    """Write a camera as `--intrinsics` reads it.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+    """
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    values = {name: getattr(camera, name) for name in names}
+    write_document(path, {**values, "distortion": list(camera.distortion)})
 
 
 def point_cloud(color: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera) -> bytes:

@@ -20,8 +20,14 @@ from benchmark.restoring.outputs import (
     record_of,
     setup_of,
     write_frame,
+    write_intrinsics,
 )
-from benchmark.restoring.recordings import FrameFiles, RecordingFiles, open_recordings
+from benchmark.restoring.recordings import (
+    INTRINSICS,
+    FrameFiles,
+    RecordingFiles,
+    open_recordings,
+)
 from benchmark.restoring.restorer import Restorer
 from benchmark.restoring.video import write_video
 from std_toolkit.errors import ToolkitError
@@ -185,4 +191,6 @@ def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: Exi
         raise ToolkitError(f"cannot make the folder: {error.strerror}", path=out) from error
     locks.enter_context(hold_lock(out, "lock", doing="writing to"))
     begin(out, record, RECORD, beside=("recordings",))
+    if recording.frames[0].undistortion is not None:
+        write_intrinsics(out / INTRINSICS, recording.frames[0].camera)
     sweep_temporaries(out)

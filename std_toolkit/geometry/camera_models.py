@@ -238,7 +238,7 @@ class Fisheye(Lens):
         xy = (uv - [K[0, 2], K[1, 2]]) / [K[0, 0], K[1, 1]]
         radius = np.hypot(xy[..., 0], xy[..., 1])
         end = self.largest_angle
-        inside = radius < self._radius(np.float64(end))
+        inside = radius < self._radius(np.asarray(end))
         angle = solve_increasing(self._radius, self._slope, np.where(inside, radius, 0.0), end)
         scale = np.where(radius > 1e-12, np.tan(angle) / np.maximum(radius, 1e-12), 1.0)
         return np.where(inside[..., None], xy * scale[..., None], np.nan)

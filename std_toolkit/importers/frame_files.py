@@ -84,7 +84,9 @@ def _write_color(
         image: Any = images.read_color(file.source, size=None if file.resize else size)
         if file.resize:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        images.write_color(root / target, image if lens is None else lens.image(image))
+        if lens is not None:
+            image = lens.image(image)
+        images.write_color(root / target, image)
         return target
     # Decode once, so that a damaged image is found now and not in a later step.
     images.read_color(file.source, size=size)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.geometry.camera_models import MODELS, Pinhole
+from std_toolkit.geometry.camera_models import MODELS, Lens, Pinhole
 
 HALF_PIXEL = 0.5
 
@@ -30,9 +30,9 @@ HALF_PIXEL = 0.5
 def to_colmap_camera(camera: Camera, camera_id: int, *, distorted: bool = False) -> Any:
     """Convert to pycolmap.Camera; `distorted` forces a model with distortion parameters."""
     params = [camera.fx, camera.fy, camera.cx + HALF_PIXEL, camera.cy + HALF_PIXEL]
-    lens, k = MODELS[camera.model], list(camera.distortion)
-    if not k and not distorted and camera.model == "opencv":
-        lens = Pinhole
+    k = list(camera.distortion)
+    is_plain = camera.model == "opencv" and not k and not distorted
+    lens = Pinhole if is_plain else MODELS[camera.model]
     # The smallest model with two focal lengths that holds all coefficients, in OpenCV's order.
     model, count = next(
         (name, count) for name, (f, count) in lens.colmap.items() if f == 2 and count >= len(k)
@@ -55,11 +55,11 @@ def from_colmap_camera(camera: Any) -> Camera:
         ToolkitError: no lens of `geometry.camera_models` has this camera model.
     """
     name, p = camera.model_name, [float(x) for x in camera.params]
-    found = [(key, lens) for key, lens in (("opencv", Pinhole), *MODELS.items())
-             if name in lens.colmap]  # fmt: skip
-    if not found:
+    lenses: list[tuple[str, type[Lens]]] = [("opencv", Pinhole), *MODELS.items()]
+    found = next(((model, lens) for model, lens in lenses if name in lens.colmap), None)
+    if found is None:
         raise ToolkitError("cannot convert this COLMAP camera model", value=name)
-    model, lens = found[0]
+    model, lens = found
     focal_lengths, count = lens.colmap[name]
     fx, fy, cx, cy, *k = p if focal_lengths == 2 else [p[0], *p]
     k += [0.0] * (next(n for n in lens.counts if n >= count) - count)
