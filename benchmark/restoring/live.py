@@ -119,7 +119,7 @@ def restore_live(options: LiveOptions) -> LiveReport:
         undistortion = Undistortion.of(camera.camera)
         images = camera.camera if undistortion is None else undistortion.camera
         if undistortion is not None:
-            logger.warning("%s", undistortion)
+            logger.info("%s", undistortion)
         report = LiveReport(camera.name)
         writer = None if options.out is None else _Writer(options, restorer, images)
         status = StatusLine()

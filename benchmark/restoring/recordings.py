@@ -224,7 +224,7 @@ def _undistorted(recording: RecordingFiles, fov_deg: float | None) -> RecordingF
             value=[f"{u.recorded.width}x{u.recorded.height}" for u in needed],
             hint="restore the images of each camera as a recording of its own",
         )
-    logger.warning("%s: %s", recording.source, needed[0])
+    logger.info("%s: %s", recording.source, needed[0])
     frames = (replace(f, camera=needed[0].camera, undistortion=needed[0]) for f in recording.frames)
     return replace(recording, frames=tuple(frames))
 

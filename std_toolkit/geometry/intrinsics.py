@@ -87,12 +87,18 @@ def named_lens(
         number: converts a value, or raises.
 
     Raises:
-        ToolkitError: the model is not supported, or k4 is not clear.
+        ToolkitError: the model is not supported, its coefficients are missing, or k4 is not clear.
     """
     found = {key: number(data.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", *_FURTHER_KEYS)}
     model = model_of_file(data, has_coefficients=any(found.values()))
     k = tuple(found[key] for key in re.findall(r"\w+", MODELS[model].order))
     if model != "opencv":
+        if "k1" not in data:  # a pinhole is OpenCV's model without coefficients; these are not
+            raise ToolkitError(
+                f"the coefficients of the {model} lens are missing",
+                field="k1",
+                hint=f"needed: {MODELS[model].order}, or `distortion` with all of them",
+            )
         return model, k
     if not any(k[5:]):
         return model, k[:5] if any(k) else ()

@@ -131,7 +131,7 @@ def _undistortions(recording: importer.Recording, fov_deg: float | None) -> dict
                 value=recording.cameras[frame.camera].model,
             )
     for key, undistortion in found.items():
-        logger.warning("camera %s: %s", key, undistortion)
+        logger.info("camera %s: %s", key, undistortion)
     return found
 
 
