@@ -165,7 +165,8 @@ class OpenCV(Lens):
         """Rays (N, 2) of distorted coordinates (N, 2): radial part first, then both."""
         _, _, p1, p2, *_ = self.padded
         radius = np.hypot(xy[:, 0], xy[:, 1])
-        end = min(np.sqrt(largest_radius2(self.coefficients)), 1e3)
+        # Just before the fold, which may be a pole.
+        end = min(np.sqrt(largest_radius2(self.coefficients)) * (1 - 1e-12), 1e3)
         found = solve_increasing(
             lambda r: r * self._radial(r * r)[0],
             lambda r: self._radial(r * r)[0] + 2 * r * r * self._radial(r * r)[1],
@@ -312,15 +313,16 @@ def solve_increasing(
     """
     low, high = np.zeros_like(target), np.full_like(target, end)
     x = np.clip(target, low, high)
-    for _ in range(80):
+    move = np.full_like(target, end)
+    for _ in range(100):
         error = value(x) - target
         high, low = np.where(error > 0, x, high), np.where(error > 0, low, x)
         with np.errstate(all="ignore"):  # the slope is 0 at the fold
             step = x - error / slope(x)
-        inside = (step >= low) & (step <= high)
-        moved = np.where(inside, step, (low + high) / 2)
-        change = np.abs(moved - x).max(initial=0.0)
-        x = moved
-        if change <= 4e-16 * end:
+        # Steps that do not halve would cycle about an inflection.
+        good = (step >= low) & (step <= high) & (np.abs(step - x) <= move / 2)
+        moved = np.where(good, step, (low + high) / 2)
+        move, x = np.abs(moved - x), moved
+        if move.max(initial=0.0) <= 4e-16 * end:
             break
     return x

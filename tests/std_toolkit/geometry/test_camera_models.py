@@ -173,3 +173,18 @@ def test_names_of_other_programs_are_unique() -> None:
     assert len(set(names)) == len(names)
     assert len(set(colmap)) == len(colmap)
     assert lens_of("opencv", ()) == lens_of("opencv", (0.0,) * 5)  # the pinhole
+
+
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [
+        ("fisheye", (0.0, 0.0867528842289631, 0.0867528842289631, -0.0625)),
+        ("opencv", (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -0.125)),
+    ],
+    ids=["Newton's steps cycle", "a pole at the fold"],
+)
+def test_lenses_on_which_iterations_fail(model: str, distortion: tuple) -> None:
+    camera = Camera(*SIZE, 260.0, 260.0, 651.3, 352.8, distortion, model)
+    rays = rays_before_the_fold(camera, 0.98)
+    pixels = camera.project(np.column_stack([rays, np.ones(len(rays))]))
+    np.testing.assert_allclose(camera.unproject(pixels)[:, :2], rays, atol=1e-6)
