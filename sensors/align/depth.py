@@ -87,8 +87,7 @@ def _patch_rays(camera: Camera) -> tuple[Array, ...]:
             rays = camera.unproject(np.stack(np.meshgrid(across, down), axis=-1))
             arrays += [np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])]
         else:
-            x = (across - camera.cx) / camera.fx
-            y = (down - camera.cy) / camera.fy
+            x, y = camera.pinhole_rays(across, down)
             arrays += [np.broadcast_to(x, shape), np.broadcast_to(y[:, None], shape)]
     return tuple(arrays)
 

@@ -144,6 +144,15 @@ class Camera:
         """(H, W, 3) camera-frame points at z = 1 behind every pixel centre."""
         return pixel_rays(self).copy()
 
+    def pinhole_rays(
+        self, u: NDArray[np.integer | np.floating], v: NDArray[np.integer | np.floating]
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """x/z of columns u and y/z of rows v, of any shapes, without the lens's distortion.
+
+        For loops over windows of undistorted images, whose rays are separable.
+        """
+        return (u - self.cx) / self.fx, (v - self.cy) / self.fy
+
     def pixel_grid(self) -> Array:
         """(H, W, 2) pixel coordinates (u, v) of every pixel centre."""
         v, u = np.mgrid[: self.height, : self.width]

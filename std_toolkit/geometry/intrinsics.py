@@ -76,6 +76,23 @@ class Intrinsics:
                 )
         return camera
 
+    def scene_camera(self, size: tuple[int, int], *, path: str) -> Camera:
+        """The camera for images of `size` that are used as they are.
+
+        Raises:
+            ToolkitError: as `camera`, or images of this lens must be undistorted first.
+        """
+        camera = self.camera(size, path=path)
+        if not camera.lens.in_scenes:
+            raise ToolkitError(
+                "images of this lens must be undistorted first",
+                path=path,
+                field="model",
+                value=self.model,
+                hint="a recording that `std-curate import` reads is undistorted",
+            )
+        return camera
+
 
 def named_lens(
     data: Mapping[str, Any], number: Callable[[Any], float]

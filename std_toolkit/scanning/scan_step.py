@@ -250,14 +250,7 @@ def _poses(
         if options.intrinsics is not None:
             whole = image_size(found.paths[0])
             given = read_intrinsics(options.intrinsics, size=whole)
-            if given.model != "opencv":
-                raise ToolkitError(
-                    "photos of a board need a lens of OpenCV's radial-tangential model",
-                    path=options.intrinsics,
-                    value=given.model,
-                    hint="undistort the photos, or leave out --intrinsics: the board calibrates",
-                )
-            camera = given.camera(whole, path=options.intrinsics).resized(*found.size)
+            camera = given.scene_camera(whole, path=options.intrinsics).resized(*found.size)
         elif found.sensor is not None:
             camera = found.sensor.camera(found.size)
         else:
