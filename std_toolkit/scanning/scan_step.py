@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,15 @@ from std_toolkit.scanning.vessel.glass_outlines import find_vessel
 from std_toolkit.scanning.vessel.revolve import fit_revolution
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scene.document import digest_file, digest_of
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Support of a face below which its place is a guess.
-_SUPPORTED = 0.3
+
+@dataclass(frozen=True, kw_only=True)
+class SupportSettings(Settings):
+    """Which faces of a scan are measured."""
+
+    supported: float = limit(0.3, source=NOT_RECORDED)
+    """support of a face below which its place is a guess"""
 
 
 def scan(options: ScanOptions) -> Scan:
@@ -94,7 +100,7 @@ def scan(options: ScanOptions) -> Scan:
         vertices=T_model_world @ vertices,
         faces=faces,
         texture=texture,
-        supported=support > _SUPPORTED,
+        supported=support > SupportSettings.current().supported,
         views=[replace(v, T_world_cam=T_model_world @ v.T_world_cam) for v in views],
         facts={**posed.facts, **words},
         warnings=posed.warnings,

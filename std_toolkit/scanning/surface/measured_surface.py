@@ -27,18 +27,28 @@ from std_toolkit.scanning.surface.hollow import hollowed
 from std_toolkit.scanning.surface.photo_polish import fit_photos
 from std_toolkit.scanning.surface.plain_tops import levelled
 from std_toolkit.scanning.surface.polish import averaging, fit_outlines
-from std_toolkit.scanning.surface.sensor_depth import LARGEST_DEVIATION, depth_factor, sensor_maps
+from std_toolkit.scanning.surface.sensor_depth import ScanDepthSettings, depth_factor, sensor_maps
 from std_toolkit.scanning.surface.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.surface.underside import flatten_unseen
 from std_toolkit.scene.document import digest_of
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Depth below the hull that is searched, as a share of the longest side.
 _DEEPEST = 0.3
-# Photos, of so many, whose masks may lack any place; and those whose masks may lack a place that
-# depth maps show: of so many beyond the first. Of few photos, each carves what no other does.
-_LACKING, _DISPUTED, _FEW = 40, 6, 24
 # Voxels of the surface of one side to which the other is registered, as a share of all.
 _COARSE = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisputeSettings(Settings):
+    """Photos whose masks may lack a place."""
+
+    lacking: int = limit(40, source=NOT_RECORDED)
+    """of so many photos, one mask may lack any place"""
+    disputed: int = limit(6, source=NOT_RECORDED)
+    """of so many photos beyond `few`, one mask may lack a place that depth maps show"""
+    few: int = limit(24, source="of few photos, each carves what no other does")
+    """photos from which masks may be disputed"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,7 +138,7 @@ def _sensor(
         factor = 1.0
     elif posed.on_table:
         posed.facts["sensor depth"] = f"times {factor:.4f}, by the board"
-    if abs(factor - 1) > LARGEST_DEVIATION:
+    if abs(factor - 1) > ScanDepthSettings.current().largest_deviation:
         posed.warnings.append(
             f"the sensor's depth is left out: the board is at {factor:.2f} times what it measured. "
             "Is its unit right, and is it aligned to the colour images?"
@@ -237,8 +247,9 @@ def _hulls(
 
     Masks lack texture of the colour of the table behind it. The depth maps decide in between.
     """
-    few = len(views) // _LACKING
-    many = max(few, (len(views) - _FEW) // _DISPUTED)
+    limits = DisputeSettings.current()
+    few = len(views) // limits.lacking
+    many = max(few, (len(views) - limits.few) // limits.disputed)
     if any(v.hidden is not None for v in views):
         # Among other things, too, few photos show a side.
         many = few
