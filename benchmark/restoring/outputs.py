@@ -17,7 +17,7 @@ from benchmark.restoring.recordings import FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
 from std_toolkit.geometry.camera import Camera, unproject_depth
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import digest_file, write_document
+from std_toolkit.io.documents import digest_file, digest_of, write_document
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_depth_png16, write_png
 from std_toolkit.jobs.artefact import Artefact, Record
@@ -141,6 +141,10 @@ class FramePaths:
         return self.out / "depth" / f"{self.name}{'.exr' if self.exr else '.png'}"
 
     @property
+    def color(self) -> Path:
+        return self.out / "color" / f"{self.name}.png"
+
+    @property
     def confidence(self) -> Path:
         return self.out / "confidence" / f"{self.name}.png"
 
@@ -164,6 +168,8 @@ class FramePaths:
         """What the files of a frame are made of; `RestoreSetup` is the same for all frames."""
         images = {"colour image": frame.color, "depth image": frame.depth}
         inputs = {name: digest_file(path) for name, path in images.items()}
+        if frame.undistortion is not None:
+            inputs["cameras of the undistortion"] = digest_of(repr(frame.undistortion), versioned=False)
         return Artefact(self.out, f"frame {frame.name}", inputs)
 
 
@@ -203,6 +209,9 @@ def write_frame(
     if restored.confidence is not None:
         written.append(paths.confidence)
         write_png(paths.confidence, np.rint(255 * restored.confidence).astype(np.uint8))
+    if frame.undistortion is not None:
+        written.append(paths.color)
+        write_color(paths.color, color)
     if setup.points:
         written.append(paths.points)
         write_bytes_atomic(paths.points, point_cloud(color, depth, frame.camera))
@@ -221,6 +230,17 @@ def write_frame(
     )
     write_document(paths.record, record)
     return record
+
+
+def write_intrinsics(path: Path, camera: Camera) -> None:
+    """Write a camera as `--intrinsics` reads it.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+    """
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    values = {name: getattr(camera, name) for name in names}
+    write_document(path, {**values, "distortion": list(camera.distortion)})
 
 
 def point_cloud(color: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera) -> bytes:

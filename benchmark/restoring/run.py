@@ -19,8 +19,14 @@ from benchmark.restoring.outputs import (
     record_of,
     setup_of,
     write_frame,
+    write_intrinsics,
 )
-from benchmark.restoring.recordings import FrameFiles, RecordingFiles, open_recordings
+from benchmark.restoring.recordings import (
+    INTRINSICS,
+    FrameFiles,
+    RecordingFiles,
+    open_recordings,
+)
 from benchmark.restoring.restorer import Restorer
 from benchmark.restoring.video import write_video
 from std_toolkit.errors import ToolkitError
@@ -192,4 +198,6 @@ def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: Exi
         hint="choose another --out",
         beside=("recordings",),
     )
+    if recording.frames[0].undistortion is not None:
+        write_intrinsics(out / INTRINSICS, recording.frames[0].camera)
     sweep_temporaries(out)

@@ -264,7 +264,7 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
         if options.intrinsics is not None:
             whole = image_size(found.paths[0])
             given = read_intrinsics(options.intrinsics, size=whole)
-            camera = given.camera(whole, path=options.intrinsics).resized(*found.size)
+            camera = given.scene_camera(whole, path=options.intrinsics).resized(*found.size)
         elif found.sensor is not None:
             camera = found.sensor.camera(found.size)
         else:

@@ -127,7 +127,7 @@ def _free_camera(camera: Camera) -> Any:
 
     from std_toolkit.poses.colmap import to_colmap_camera
 
-    k = [*camera.distortion, 0.0, 0.0, 0.0, 0.0]
+    k = camera.opencv_distortion
     if len(camera.distortion) > 4 or abs(camera.fx / camera.fy - 1) > _SQUARE:
         return to_colmap_camera(camera, 1, distorted=True)
     plain = to_colmap_camera(camera.without_distortion(), 1)

@@ -241,7 +241,9 @@ def known_views(photos: Photos, options: KnownCameras, intrinsics: str | None) -
         found = given if given is not None else lens
         if found is not None:
             whole = image_size(photos.paths[i])
-            camera = Camera(*whole, found.fx, found.fy, found.cx, found.cy, found.distortion)
+            camera = replace(found, size=None).camera(
+                whole, path=str(options.cameras), off_centre=True
+            )
         elif photos.sensor is not None:
             camera = photos.sensor.camera(photos.size)
         else:

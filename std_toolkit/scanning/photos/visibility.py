@@ -35,8 +35,7 @@ def hull_depth(
     """
     x0, y0, x1, y1 = window
     u, v = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
-    c = view.camera
-    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
+    local = view.camera.unproject(np.stack([u, v], axis=-1))
     rays = np.empty((*u.shape, 6), np.float32)
     rays[..., :3] = view.centre - offset
     rays[..., 3:] = local @ view.T_world_cam.R.T
