@@ -35,9 +35,12 @@ class ActiveStereo:
         size = (options.width, options.height)
         self.camera = sensor.infrared_camera(*size)
         low, high = sensor.disparity_range(*size)
-        # The released matcher has its own fixed search range.
-        own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
-        if options.matcher == "local":
+        own = {"min_disparity": low, "max_disparity": high}
+        if options.matcher == "dreds":  # the released matcher has its own fixed search range
+            own = {}
+        elif options.matcher == "sgbm":  # searches a multiple of 16
+            own = {"min_disparity": low, "disparities": -(-(high - low + 1) // 16) * 16}
+        elif options.matcher == "local":
             own["threads"] = options.threads or usable_cores()
         self._matcher = make_matcher(options.matcher, **own)
         self._sensor, self._noise = sensor, options.noise
