@@ -27,12 +27,11 @@ class ObjectRecord(model.Document, frozen=True, kw_only=True):
 
 
 class ViewRecord(model.Document, frozen=True, kw_only=True):
-    """A frame: poses of the colour and the left infrared camera, and the objects left out."""
+    """A frame: poses of the colour and the left infrared camera."""
 
     index: model.Count
     T_world_cam: model.Pose16
     T_world_ir: model.Pose16
-    hidden: list[model.ObjectId]
 
 
 class SceneRecord(model.Document, frozen=True, kw_only=True):
@@ -90,12 +89,7 @@ def scene_record(received: ReceivedFrames) -> SceneRecord:
             for item in scene.objects
         ],
         frames=[
-            ViewRecord(
-                index=i,
-                T_world_cam=poses[0].flat(),
-                T_world_ir=poses[1].flat(),
-                hidden=list(received.hidden[i]),
-            )
+            ViewRecord(index=i, T_world_cam=poses[0].flat(), T_world_ir=poses[1].flat())
             for i, poses in sorted(received.poses.items())
         ],
         parameters=dict(scene.parameters),
@@ -107,13 +101,11 @@ class ReceivedFrames:
 
     Attributes:
         poses: T_world_cam and T_world_ir by frame index.
-        hidden: instance ids left out, by frame index.
     """
 
     def __init__(self, scene: SimulatedScene) -> None:
         self.scene = scene
         self.poses: dict[int, tuple[SE3, SE3]] = {}
-        self.hidden: dict[int, tuple[int, ...]] = {}
         self._cameras: tuple[Camera, Camera, Camera, Camera] | None = None
 
     @property
@@ -143,20 +135,10 @@ class ReceivedFrames:
             raise ToolkitError(f"the scene has {self.scene.frames} frames", field=where)
         if frame.index in self.poses:
             raise ToolkitError("the frame was written before", field=where)
-        known = {o.instance_id for o in self.scene.objects}
-        seen, hidden = set(frame.instances), set(frame.hidden)
-        for what, ids in (("mask", seen), ("hidden", hidden)):
-            if ids - known:
-                raise ToolkitError(
-                    "the scene has no such object",
-                    field=f"{where}: {what}",
-                    value=sorted(ids - known),
-                )
-        if hidden & seen:
+        unknown = set(frame.instances) - {o.instance_id for o in self.scene.objects}
+        if unknown:
             raise ToolkitError(
-                "an object that was left out is seen",
-                field=f"{where}: hidden",
-                value=sorted(hidden & seen),
+                "the scene has no such object", field=f"{where}: mask", value=sorted(unknown)
             )
         cameras = (
             frame.color_camera,
@@ -168,7 +150,6 @@ class ReceivedFrames:
             raise ToolkitError("the frames of a scene have the same cameras", field=where)
         self._cameras = cameras
         self.poses[frame.index] = (frame.T_world_cam, frame.T_world_ir)
-        self.hidden[frame.index] = tuple(sorted(hidden))
 
     def require_all(self) -> None:
         """Raise if frames are missing.
