@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.asset import NO_SYMMETRY, TURN_Y, Asset, canonical_frame, welded
+from sensors.assets.asset import (
+    NO_SYMMETRY,
+    TURN_Y,
+    Asset,
+    canonical_frame,
+    surface_points,
+    welded,
+)
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M, check_mesh_size
 from std_toolkit.geometry.ray_caster import RayCaster
@@ -196,17 +203,9 @@ def turn_symmetry(
         tolerance: largest distance between the rotated surface and the original, as a fraction
             of the diagonal; one point in a hundred may be further away.
     """
-    corners = np.asarray(vertices, dtype=np.float64)[faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    if not area.sum() > 0:
+    points = surface_points(np.asarray(vertices, np.float64), faces, _SAMPLES)
+    if len(points) == 0:
         return NO_SYMMETRY
-    rng = np.random.default_rng(0)
-    face = rng.choice(len(faces), _SAMPLES, p=area / area.sum())
-    a, b = np.sort(rng.random((2, _SAMPLES)), axis=0)
-    weights = np.stack([a, b - a, 1 - b], axis=1)
-    points = np.einsum("nk,nkd->nd", weights, corners[face])
     caster = RayCaster(vertices, faces)
     for angle in _ANGLES:
         c, s = np.cos(angle), np.sin(angle)

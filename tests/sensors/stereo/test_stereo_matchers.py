@@ -79,9 +79,8 @@ def test_depth_of_disparity() -> None:
 
 @pytest.mark.parametrize("name", ["local", "sgbm", "dreds"])
 def test_a_simulated_camera_takes_every_matcher(name: str) -> None:
-    model = ActiveStereo(
-        load_sensor("d415"), DepthModelOptions(width=320, height=180, matcher=name)
-    )
+    sensor = load_sensor("d415")
+    model = ActiveStereo(sensor, DepthModelOptions(width=320, height=180, matcher=name))
     left = np.random.default_rng(0).integers(0, 256, (180, 320)).astype(np.uint8)
     right = np.roll(left, -20, axis=1)
     depth = model.read((left / np.float32(255), right / np.float32(255)), seed=1).depth
