@@ -24,7 +24,7 @@ from annotator.views.drags import (
     plane_basis,
 )
 from annotator.views.projection import ScreenCamera
-from annotator.views.triangles import Color, Strokes
+from annotator.views.strokes import Color, Strokes
 from std_toolkit.geometry import SE3
 
 __all__ = ["ARROW_START", "AXIS_COLORS", "HOVERED", "draw_gizmo"]

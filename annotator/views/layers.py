@@ -31,7 +31,7 @@ from vtkmodules.vtkRenderingCore import (
 from vtkmodules.vtkRenderingOpenGL2 import vtkGenericOpenGLRenderWindow
 
 from annotator.views.projection import ScreenCamera
-from annotator.views.triangles import Strokes
+from annotator.views.strokes import Strokes
 from std_toolkit.geometry import SE3
 
 BACKGROUND = (0.118, 0.118, 0.122)
