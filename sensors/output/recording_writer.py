@@ -95,7 +95,7 @@ class RecordingWriter:
         poses = [self._received.poses[i][0] for i in range(scene.frames)]
         documents.write_document(folder / "simulation.json", scene_record(self._received))
         write_truth(
-            folder, scene, self._received.label_camera, poses, depth_scale=self._depth_scale
+            folder, scene, self._received.cameras.label, poses, depth_scale=self._depth_scale
         )
 
 

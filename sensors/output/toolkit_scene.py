@@ -107,7 +107,7 @@ class ToolkitSceneWriter:
             write_mesh(folder / obj.model.mesh, obj.mesh)
         info = SceneInfo(
             name=scene.name,
-            cameras={"color": CameraModel.of(self._received.label_camera)},
+            cameras={"color": CameraModel.of(self._received.cameras.label)},
             source=f"{SOURCE}:{scene.sensor}",
         )
         names = [(i, frame_name(i)) for i in range(scene.frames)]
