@@ -72,7 +72,8 @@ def car(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A car in metres, wheels on the ground at y = 0."""
     plan = PLANS[int(rng.integers(len(PLANS)))]
     bounds, pillars = _BOUNDS[plan]
-    s = _Shape(*(float(rng.uniform(*pair)) for pair in bounds), pillars=pillars)
+    length, width, *others = (float(rng.uniform(*pair)) for pair in bounds)
+    s = _Shape(length, width, *others, pillars)  # type: ignore[arg-type]
     lift = 0.55 * s.wheel + float(rng.uniform(0.0, 0.05))
     color = solids.one_of(
         rng,
