@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.assets import draw_diagonal, open_source
+from sensors.depth_models.stereo import with_noise
 from sensors.lighting.environment_sources import StudioSource
 from sensors.lighting.light_draw import PROJECTOR_POWER, draw_floor, draw_lighting
 from sensors.materials.material_draw import DrawnMaterial, draw_material
@@ -26,7 +27,6 @@ from sensors.pattern import make_pattern
 from sensors.render import infrared_image, sim_renderer, sim_scene
 from sensors.specs import SensorSpec, load_sensor
 from sensors.stereo import disparity_to_depth, make_matcher
-from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.geometry import SE3, Camera
 
 SENSOR = load_sensor("d415")

@@ -32,7 +32,9 @@ _PLAIN = (180, 180, 180)
 
 _SAMPLES = 2000
 
-# A faceted cylinder of 16 sides deviates from the round one by 2 % of its radius.
+# Largest distance between a rotated surface and the original, as a fraction of the diagonal; one
+# point in a hundred may be further away. A faceted cylinder of 16 sides deviates from the round one
+# by 2 % of its radius.
 _TOLERANCE = 0.012
 
 
@@ -192,16 +194,12 @@ def _colors(
 _ANGLES = tuple(2 * np.pi * x for x in (0.093, 0.269, 0.41))
 
 
-def turn_symmetry(
-    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, tolerance: float = _TOLERANCE
-) -> Symmetry:
+def turn_symmetry(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Symmetry:
     """Full rotational symmetry about y, if the shape has it; colours are ignored.
 
     Args:
         vertices: (V, 3) canonical.
         faces: (F, 3).
-        tolerance: largest distance between the rotated surface and the original, as a fraction
-            of the diagonal; one point in a hundred may be further away.
     """
     points = surface_points(np.asarray(vertices, np.float64), faces, _SAMPLES)
     if len(points) == 0:
@@ -210,6 +208,6 @@ def turn_symmetry(
     for angle in _ANGLES:
         c, s = np.cos(angle), np.sin(angle)
         turned = points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
-        if np.quantile(caster.distance(turned), 0.99) > tolerance:
+        if np.quantile(caster.distance(turned), 0.99) > _TOLERANCE:
             return NO_SYMMETRY
     return TURN_Y

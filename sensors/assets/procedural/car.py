@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +72,8 @@ def car(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A car in metres, wheels on the ground at y = 0."""
     plan = PLANS[int(rng.integers(len(PLANS)))]
     bounds, pillars = _BOUNDS[plan]
-    length, width, *others = (float(rng.uniform(*pair)) for pair in bounds)
-    s = _Shape(length, width, *others, pillars)  # type: ignore[arg-type]
+    fields: tuple[Any, ...] = (*(float(rng.uniform(*pair)) for pair in bounds), pillars)
+    s = _Shape(*fields)
     lift = 0.55 * s.wheel + float(rng.uniform(0.0, 0.05))
     color = solids.one_of(
         rng,
