@@ -243,7 +243,7 @@ class PoseScorer:
         """Cost of the depth per pixel of the object at its start."""
         return self._cost(T_world_obj) / self._area
 
-    def print(self, T_world_obj: SE3) -> float:
+    def texture(self, T_world_obj: SE3) -> float:
         """Agreement of the mesh's colours with the images; see `color_agreement`."""
         if self._obj.colors is None:
             return 0.0
