@@ -97,18 +97,20 @@ def pose_difference(
     )
 
 
-def surface_distance(
-    T_a: SE3, T_b: SE3, points: NDArray[np.floating], symmetry: Symmetry, *, steps: int = 72
-) -> float:
+# Turns about an axis of rotational symmetry that are tried.
+_TURNS = 72
+
+
+def surface_distance(T_a: SE3, T_b: SE3, points: NDArray[np.floating], symmetry: Symmetry) -> float:
     """Return the MSSD in metres, symmetric in the two poses.
 
     A mesh is never exactly as symmetric as its object, so the values from T_a to T_b and from T_b
     to T_a differ slightly. The larger one is returned.
     """
-    forth = mssd(T_a, T_b, points, symmetry, steps=steps)
+    forth = mssd(T_a, T_b, points, symmetry, steps=_TURNS)
     if symmetry.is_trivial:
         return forth
-    return max(forth, mssd(T_b, T_a, points, symmetry, steps=steps))
+    return max(forth, mssd(T_b, T_a, points, symmetry, steps=_TURNS))
 
 
 def what_differs(difference: PoseDifference, names: tuple[str, str] = ("A", "B")) -> str:
