@@ -67,6 +67,10 @@ def test_every_number_with_a_unit_is_a_figure_or_a_fact(path: Path) -> None:
         assert found == []
 
 
+def test_only_guides_that_exist_are_still_to_do() -> None:
+    assert TO_DO - {path.name for path in figures.pages()} == set()
+
+
 def test_every_row_is_shown() -> None:
     shown = {name for path in figures.pages() for name in figures.used(path.read_text("utf-8"))}
     assert set(ROWS) - shown == set()
@@ -91,6 +95,7 @@ def test_every_command_exists() -> None:
         "std-bench --nothing x",
         "std-nothing",
         "python perf/nothing.py",
+        "python perf/render.py --nothing",
         "python -m sensors.nothing",
         "pytest tests/nothing.py",
         "make nothing",
@@ -124,7 +129,13 @@ def wrong_command(command: str) -> str | None:
         exists = module.with_suffix(".py").is_file() or (module / "__main__.py").is_file()
         return None if exists else words[1]
     if program in ("python", "pytest"):
-        return None if (REPOSITORY / words[0].partition("::")[0]).is_file() else words[0]
+        files = [word.partition("::")[0] for word in words if "/" in word]
+        script = REPOSITORY / files[0]
+        if not script.is_file():
+            return files[0]
+        options = [word for word in words if word.startswith("--")]
+        text = script.read_text(encoding="utf-8")
+        return next((option for option in options if f'"{option}"' not in text), None)
     if program == "make":
         makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
         return None if re.search(rf"^{words[0]}:", makefile, re.MULTILINE) else words[0]
@@ -147,6 +158,8 @@ def wrong_command(command: str) -> str | None:
         ("A <!--=a.b:interval-->1.4<!--/--> mm", "is nothing"),
         ("<!--=a.b-->1.4<!--/--> mm", "start of a line"),
         ("- <!--=a.b-->1.4<!--/--> mm", "start of a line"),
+        ("It is\n<!--fact-->5 mm<!--/--> off", "start of a line"),
+        ("It is <!--fact-->5 mm\n<!--/--> off", "start of a line"),
         ("A `<!--=a.b-->1.4<!--/-->` mm", "in code"),
         ("```\nA <!--=a.b-->1.4<!--/-->\n```", "in code"),
         ("A <!--=a.b-->1.4 mm", "without its pair"),

@@ -4,9 +4,9 @@
 the cards of the weights; with `--check` it only prints what is wrong, exit status 1 if anything is.
 
 A page shows the value of the row NAME by `<!--=NAME-->24.2<!--/--> mm`, its interval by
-`<!--=NAME:interval-->19.7, 28.5<!--/-->`. Settings and facts of the world, which nobody measured here,
-stand in `<!--fact-->...<!--/-->`; any other number with a unit is a problem (`unmarked`). `commit` of a
-row is the commit that brought the figure: it was measured on this tree or on that of its parent.
+`<!--=NAME:interval-->19.7, 28.5<!--/-->`. Settings and facts of the world, which nobody measured
+here, stand in `<!--fact-->...<!--/-->`; any other number with a unit is a problem (`unmarked`).
+`commit` of a row is the commit that brought the figure: measured on this tree or its parent's.
 """
 
 from __future__ import annotations
@@ -32,9 +32,11 @@ _UNIT += r"(?![\w/])"  # "m" does not begin "mugs", nor "s" "s/frame"
 _MARK = re.compile(rf"<!--=({_NAME})(:interval)?-->(.*?)<!--/-->")
 _ANY_MARK = re.compile(r"<!--=.*?-->")
 _FACT = re.compile(r"<!--fact-->(.*?)<!--/-->", re.DOTALL)
-_LINE_START = re.compile(r"^[ \t]*(?:(?:[-*+]|\d+\.)[ \t]+)?(<!--=.*?-->)", re.MULTILINE)
+_LINE_START = re.compile(
+    r"^[ \t]*(?:(?:[-*+]|\d+\.)[ \t]+)?(<!--(?:=.*?|fact|/)-->)(?![ \t]*$)", re.MULTILINE
+)
 _CODE = re.compile(
-    r"^( *)(```|~~~).*?^\1\2[^\n]*$|(`+)(?!`).+?(?<!`)\3(?!`)", re.MULTILINE | re.DOTALL
+    r"^( *)(```|~~~).*?^\1\2[^\n]*$|(`+)(?!`)(?:(?!\n\n).)+?(?<!`)\3(?!`)", re.MULTILINE | re.DOTALL
 )
 _MEASURED = re.compile(rf"(?<![\w.°])\d[\d,]*(?:\.\d+)?(?: ?(?!x ?\d){_UNIT})")
 _IN_HEADER = re.compile(rf"(?:^|[ \[(]){_UNIT}[\])]?$")
@@ -147,7 +149,7 @@ def wrong_marks(text: str, figures: dict[str, Figure]) -> Iterator[str]:
 
 
 def unmarked(text: str) -> Iterator[str]:
-    """Numbers with a unit, also by the heading of a table's column, outside marks, facts and code."""
+    """Numbers with a unit (or below a heading with one) outside marks, facts and code."""
     plain = _MARK.sub("", _FACT.sub("", _CODE.sub("", text)))
     plain = re.sub(r"<!--.*?-->|\]\([^)]*\)", "", plain, flags=re.DOTALL)
     for match in _MEASURED.finditer(plain):
