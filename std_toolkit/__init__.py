@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from std_toolkit.geometry.se3 import SE3
     from std_toolkit.importers.import_step import import_recording
     from std_toolkit.jobs.options import JobOptions
-    from std_toolkit.labels.label import add_model, add_object, set_pose
-    from std_toolkit.labels.label_command import run_label_command
-    from std_toolkit.labels.pnp import solve_pnp
+    from std_toolkit.labels.entry.label import add_model, add_object, set_pose
+    from std_toolkit.labels.entry.label_command import run_label_command
+    from std_toolkit.labels.entry.pnp import solve_pnp
     from std_toolkit.labels.propagate import propagate_labels
     from std_toolkit.labels.refine_step import refine_labels
     from std_toolkit.options import (

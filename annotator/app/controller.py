@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from annotator.app.image_cache import ImageCache
     from annotator.app.mesh_folder import MeshFolder, MeshToPlace
     from annotator.session.residuals import FrameResidual
-    from std_toolkit.checks.ranking import PoseRank
-    from std_toolkit.labels.print import PrintComparison
+    from std_toolkit.checks.measure.ranking import PoseRank
     from std_toolkit.labels.support.penetration import Penetration
     from std_toolkit.labels.support.plane import TablePlane
+    from std_toolkit.labels.texture.comparison import TextureComparison
 
 # Steps of the keyboard: millimetres of a shift and degrees of a turn, coarse to fine.
 STEPS = (10.0, 1.0, 0.1)
@@ -62,7 +62,8 @@ class Controller:
         weak_directions: sentence by object on the direction that its last refinement determined
             least.
         ranks: ranks among nearby poses by object; removed when the pose changes.
-        prints: print comparison of the last refinement by object; removed when the pose changes.
+        textures: texture comparison of the last refinement by object; removed when the pose
+            changes.
         table: the plane on which the objects stand, if found.
         table_problem: text on why there is no table.
         penetrations: penetrations between objects or with the table, deepest first.
@@ -92,7 +93,7 @@ class Controller:
         self.conflict = ""
         self.weak_directions: dict[str, str] = {}
         self.ranks: dict[str, PoseRank] = {}
-        self.prints: dict[str, PrintComparison] = {}
+        self.textures: dict[str, TextureComparison] = {}
         self.table: TablePlane | None = None
         self.table_problem = ""
         self.penetrations: tuple[Penetration, ...] = ()
@@ -144,12 +145,12 @@ class Controller:
         # Adding a mesh moves no object; reading the scene again may move all.
         moved = change.objects
         if not moved and change.kind == "reread":
-            moved = (*self.residuals, *self.weak_directions, *self.ranks, *self.prints)
+            moved = (*self.residuals, *self.weak_directions, *self.ranks, *self.textures)
         for name in moved:
             self.residuals.pop(name, None)
             self.weak_directions.pop(name, None)
             self.ranks.pop(name, None)
-            self.prints.pop(name, None)
+            self.textures.pop(name, None)
         self.unmeasured = (self.unmeasured | set(moved)) & names
         self.emit(events.Event("edited", objects=change.objects, text=change.title))
 

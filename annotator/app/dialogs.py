@@ -19,7 +19,7 @@ from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
 from std_toolkit.geometry.symmetry import symmetry_words
-from std_toolkit.labels.symmetry_argument import parse_symmetry
+from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
 
 if TYPE_CHECKING:
     from std_toolkit.scene.model import SymmetryModel

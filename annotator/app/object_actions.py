@@ -296,7 +296,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Align",
         "Take the turn",
         ("Y",),
-        "Turn the object to where its print fits better, as the last refinement found.",
+        "Turn the object to where its texture fits better, as the last refinement found.",
         pose_checks.take_turn,
         enabled=pose_checks.can_take_turn,
     ),

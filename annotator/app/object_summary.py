@@ -183,7 +183,7 @@ def next_hint(c: Controller) -> str:
         )
     row = next(r for r in summarize(c) if r.name == obj.name)
     if object_verdict(c, obj.name).turned:
-        return f"Another turn of {obj.name} fits the print better: press Y to take it."
+        return f"Another turn of {obj.name} fits the texture better: press Y to take it."
     if row.grade == "poor" and _residual(c.residuals[obj.name])[1] != "poor":
         return f"{obj.name} is not confirmed: check it in every view, or place it again."
     if row.grade == "poor":

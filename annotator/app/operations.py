@@ -112,9 +112,9 @@ def perform(
             return
         session.apply(outcome.edit)
         controller.weak_directions.update(outcome.weak_directions)
-        controller.prints.update(outcome.prints)
-        if outcome.prints:
-            controller.emit(Event("verdict", objects=tuple(outcome.prints)))
+        controller.textures.update(outcome.textures)
+        if outcome.textures:
+            controller.emit(Event("verdict", objects=tuple(outcome.textures)))
         for line in outcome.warnings:
             controller.tell(line, "warning")
         if outcome.report:

@@ -1,4 +1,4 @@
-"""Verdict on the pose of an object: residuals in the shown frames, rank, and print."""
+"""Verdict on the pose of an object: residuals in the shown frames, rank, and texture."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from annotator.app.controller import Controller
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
-    from std_toolkit.checks.ranking import PoseRank
-    from std_toolkit.labels.print import PrintComparison
+    from std_toolkit.checks.measure.ranking import PoseRank
+    from std_toolkit.labels.texture.comparison import TextureComparison
 
 Grade = Literal["good", "fair", "poor", "unknown"]
 
@@ -34,7 +34,7 @@ class Verdict:
     Attributes:
         grade: "good": it fits; "unknown": not measured or not measurable.
         text: reason in sentences.
-        turned: whether another turn fits the print better.
+        turned: whether another turn fits the texture better.
     """
 
     grade: Grade
@@ -71,20 +71,20 @@ def object_verdict(c: Controller, name: str) -> Verdict:
     """Return the verdict on an object from what is known of its current pose."""
     if c.session.pose(name, c.active_frame) is None:
         return Verdict("unknown", f"{name} has no pose yet.")
-    print_ = c.prints.get(name)
-    if print_ is not None and print_.verdict == "turned":
-        text = f"Wrong turn: {print_.sentence()}. Press Y to take it."
+    texture = c.textures.get(name)
+    if texture is not None and texture.verdict == "turned":
+        text = f"Wrong turn: {texture.sentence()}. Press Y to take it."
         return Verdict("poor", text, turned=True)
     rows = c.residuals.get(name, ())
     if not rows:
         return Verdict("unknown", f"Not measured since {name} moved.")
-    return measured_verdict(rows, c.ranks.get(name), print_)
+    return measured_verdict(rows, c.ranks.get(name), texture)
 
 
 def measured_verdict(
-    rows: Sequence[FrameResidual], rank: PoseRank | None, print_: PrintComparison | None = None
+    rows: Sequence[FrameResidual], rank: PoseRank | None, texture: TextureComparison | None = None
 ) -> Verdict:
-    """Return the verdict on a pose by its residuals, rank and print; None: not known yet.
+    """Return the verdict on a pose by its residuals, rank and texture; None: not known yet.
 
     It is good only if the pose beats the nearby ones, if a majority of the frames in which the
     contour is visible says so, and if no frame is clearly off.
@@ -122,8 +122,8 @@ def measured_verdict(
     if any(grade_row(r) == "fair" for r in visible):
         return Verdict("fair", f"Close, but not exact. {said}")
     also = ""
-    if print_ is not None and print_.verdict in ("fits", "ambiguous"):
-        also = f" {print_.sentence()[:1].upper()}{print_.sentence()[1:]}."
+    if texture is not None and texture.verdict in ("fits", "ambiguous"):
+        also = f" {texture.sentence()[:1].upper()}{texture.sentence()[1:]}."
     return Verdict("good", f"It fits. {said}{also}")
 
 

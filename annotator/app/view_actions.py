@@ -83,7 +83,7 @@ VIEW_ACTIONS: tuple[Action, ...] = (
     _style(
         Style.TEXTURED,
         "4",
-        "Meshes with their texture or vertex colours: compare the print with the image.",
+        "Meshes with their texture or vertex colours: compare the texture with the image.",
     ),
     Action(
         "more_opaque",

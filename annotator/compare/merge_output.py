@@ -13,7 +13,7 @@ from annotator.compare.annotated_scene import same_shape
 from annotator.compare.merge_labels import Merge
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import new_folder, sweep_temporaries
-from std_toolkit.labels.mesh_copies import plan_mesh_copy, write_mesh_copy
+from std_toolkit.labels.entry.mesh_copies import plan_mesh_copy, write_mesh_copy
 from std_toolkit.scene import Annotation, Labels, ObjectAnnotation, ObjectTable, Scene
 from std_toolkit.scene.document import digest_file, record_path
 

@@ -27,7 +27,7 @@ from annotator.qt.panel import Panel, label, tool_button
 from annotator.qt.theme import icon, pixmap
 from annotator.session import ChangeObject
 from std_toolkit.html.plots import object_color
-from std_toolkit.labels.label import MATERIALS
+from std_toolkit.labels.entry.label import MATERIALS
 
 _MENU = (
     ("done", "zoom_object"),

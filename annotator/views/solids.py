@@ -280,7 +280,7 @@ def _paint_colored(actor: vtkActor, look: Appearance) -> None:
     paint.SetColor(1.0, 1.0, 1.0)
     paint.SetOpacity(look.opacity)
     actor.SetForceOpaque(look.opacity >= 1)
-    # Enough shading to see the shape; a print stays legible on faces seen at a grazing angle.
+    # Enough shading to see the shape; a texture stays legible on faces seen at a grazing angle.
     paint.SetAmbient(0.55)
     paint.SetDiffuse(0.45)
     paint.SetSpecular(0.0)

@@ -18,7 +18,7 @@ import numpy as np
 from sensors.output.recording_writer import Truth, read_truth
 from sensors.simulation.options import QualityName
 from sensors.synthetic.recording import DEPTH_SCALE
-from sensors.synthetic.shapes import printed_texture
+from sensors.synthetic.shapes import label_texture
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
@@ -269,7 +269,7 @@ def _depth_path(out: Path, index: int) -> Path:
 
 def _write_floor(path: Path, seed: int) -> Path:
     """A printed cloth in sRGB, the same for the same seed."""
-    picture = printed_texture(
+    picture = label_texture(
         np.random.default_rng(seed),
         width=FLOOR_PX,
         height=FLOOR_PX,

@@ -12,22 +12,16 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks import (
-    aggregate,
-    coverage,
-    figures,
-    object_sizes,
-    overlay,
-    prints,
-    residuals,
-    result,
-)
-from std_toolkit.checks.array_file import ArrayFile
-from std_toolkit.checks.coverage import spread
-from std_toolkit.checks.inject import inject_faults
-from std_toolkit.checks.judge import judge_scene
-from std_toolkit.checks.report import PageParts, render_page
-from std_toolkit.checks.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
+from std_toolkit.checks import result
+from std_toolkit.checks.gates.judge import judge_scene
+from std_toolkit.checks.inject.inject import inject_faults
+from std_toolkit.checks.measure import aggregate, coverage, object_sizes, residuals
+from std_toolkit.checks.measure.array_file import ArrayFile
+from std_toolkit.checks.measure.coverage import spread
+from std_toolkit.checks.measure.textures import compare_textures
+from std_toolkit.checks.page import figures, overlay
+from std_toolkit.checks.page.report import PageParts, render_page
+from std_toolkit.checks.page.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
 from std_toolkit.io.documents import document_bytes, read_document
@@ -134,7 +128,7 @@ def _check(
 
     sparse, fused = sparse_cloud(scene), fused_cloud(scene, readable)
     up = _up(scene, sparse or fused)
-    compared = prints.compare_prints(scene, readable)
+    compared = compare_textures(scene, readable)
     sizes = object_sizes.measure_sizes(scene)
     report = judge_scene(scene, observed, problems, options, up=up, compared=compared, sizes=sizes)
     if sparse is None and report.summary.registered:

@@ -15,10 +15,10 @@ from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
 from std_toolkit.labels.refine_step import (
     choose_keyframes,
-    load_print_views,
+    load_texture_views,
     load_views,
-    print_surface,
     scene_object,
+    texture_surface,
 )
 from std_toolkit.scene.scene import Scene, require_metres
 
@@ -48,13 +48,13 @@ class AutoProblem:
         views: images; a single view has the identity as camera pose if the scene has none.
         objects: objects by id, at their start poses; chosen ones with the colours of their meshes.
         posed: whether the coordinate frame is the world; otherwise the camera of the only view.
-        print_views: more images, for the prints of the chosen objects.
+        texture_views: more images, for the textures of the chosen objects.
     """
 
     views: list[RefineView]
     objects: dict[int, RefineObject]
     posed: bool
-    print_views: list[RefineView] = field(default_factory=list)
+    texture_views: list[RefineView] = field(default_factory=list)
 
     @property
     def has_depth(self) -> bool:
@@ -97,8 +97,8 @@ def auto_problem(
     }
     more: list[RefineView] = []
     if posed and frames is None:
-        printed = {i: poses[i] for i in chosen if objects[i].print is not None}
-        more = load_print_views(scene, printed, [v.frame for v in views])
+        textured = {i: poses[i] for i in chosen if objects[i].texture is not None}
+        more = load_texture_views(scene, textured, [v.frame for v in views])
     return AutoProblem(views, objects, posed, more)
 
 
@@ -170,7 +170,7 @@ def _object(
     if not colors:
         return obj
     return replace(
-        obj, colors=SurfaceColors.from_mesh(mesh), print=print_surface(scene, object_id, mesh)
+        obj, colors=SurfaceColors.from_mesh(mesh), texture=texture_surface(scene, object_id, mesh)
     )
 
 

@@ -1,7 +1,7 @@
 """Colours of a mesh surface, and pictures of a textured mesh at a pose.
 
 A picture is ray-cast with several rays per pixel from a texture reduced to the size of the pixels,
-so that fine print is averaged as a camera does it.
+so that fine texture is averaged as a camera does it.
 """
 
 from __future__ import annotations

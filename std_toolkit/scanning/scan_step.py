@@ -14,27 +14,27 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.log import logger
-from std_toolkit.scanning import photos as photo_files
-from std_toolkit.scanning.bake import bake_texture
-from std_toolkit.scanning.depth_maps import ENGINES, DepthEngine
-from std_toolkit.scanning.glass_outlines import find_vessel
-from std_toolkit.scanning.measured_surface import (
+from std_toolkit.scanning.masks.object_masks import both_positions, object_masks
+from std_toolkit.scanning.model.bake import bake_texture
+from std_toolkit.scanning.model.model_frame import find_symmetry, model_frame, write_symmetry
+from std_toolkit.scanning.model.write_model import Scan, write_model
+from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.photos import photos as photo_files
+from std_toolkit.scanning.photos.posed_photos import PosedPhotos
+from std_toolkit.scanning.photos.video import is_video, sample_video
+from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.stages import Stages
+from std_toolkit.scanning.surface.depth_maps import ENGINES, DepthEngine
+from std_toolkit.scanning.surface.measured_surface import (
     Side,
     fused_surface,
     measure_side,
     side_surface,
 )
-from std_toolkit.scanning.model_frame import find_symmetry, model_frame, write_symmetry
-from std_toolkit.scanning.object_masks import both_positions, object_masks
-from std_toolkit.scanning.options import ScanOptions
-from std_toolkit.scanning.posed_photos import PosedPhotos, Scan
-from std_toolkit.scanning.revolve import fit_revolution
-from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
-from std_toolkit.scanning.stages import Stages
-from std_toolkit.scanning.turned_over import find_turn
-from std_toolkit.scanning.video import is_video, sample_video
-from std_toolkit.scanning.views import Array, View
-from std_toolkit.scanning.write_model import write_model
+from std_toolkit.scanning.surface.turned_over import find_turn
+from std_toolkit.scanning.vessel.glass_outlines import find_vessel
+from std_toolkit.scanning.vessel.revolve import fit_revolution
+from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scene.document import digest_file, digest_of
 
 # Support of a face below which its place is a guess.
@@ -47,7 +47,7 @@ def scan(options: ScanOptions) -> Scan:
     Raises:
         ToolkitError: the photos do not suffice; the message says what to photograph.
     """
-    from std_toolkit.scanning.report import write_report
+    from std_toolkit.scanning.model.report import write_report
 
     work = options.out / ".scan"
     work.mkdir(parents=True, exist_ok=True)
@@ -184,14 +184,14 @@ def _joined(
     posed.warnings.extend(f"{options.labels()[1]}: {w}" for w in over.warnings)
     if a["ambiguous"]:
         posed.warnings.append(
-            "other turns of the object fit the second photos as well, for its shape or print "
+            "other turns of the object fit the second photos as well, for its shape or texture "
             "repeats: the underside may be turned, unless turns leave the object the same. Stick a "
             "few small, different marks on its sides and photograph both positions again"
         )
         logger.warning("%s", posed.warnings[-1])
     elif a["by_shape"]:
         posed.warnings.append(
-            "too little print is in both folders, so the turn is from shapes alone and inexact: "
+            "too little texture is in both folders, so the turn is from shapes alone and inexact: "
             "stick a few small, different marks on the sides and photograph both positions again"
         )
         logger.warning("%s", posed.warnings[-1])
@@ -226,8 +226,8 @@ def _poses(
     from std_toolkit.importers.intrinsics import read_intrinsics
     from std_toolkit.io.images import image_size
     from std_toolkit.poses.board_scale import Board
-    from std_toolkit.scanning import board_photos
-    from std_toolkit.scanning.board_poses import pose_photos
+    from std_toolkit.scanning.board import board_photos
+    from std_toolkit.scanning.board.board_poses import pose_photos
 
     board = Board.read(options.board)
     blurred = photo_files.blurred_photos(found.used)

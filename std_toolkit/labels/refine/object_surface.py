@@ -28,7 +28,7 @@ _SLACK = 0.02
 
 # A surface whose colours vary by less than the first figure (standard deviation, grey levels)
 # shows only noise and shading, one that varies by more than the second has a texture.
-_PLAIN, _PRINTED = 10.0, 25.0
+_PLAIN, _TEXTURED = 10.0, 25.0
 
 _SMOOTHING_PX = 1.0
 
@@ -210,7 +210,7 @@ def color_agreement(
     if count == 0 or rendered_power <= 0 or seen_power <= 0:
         return 0.0
     contrast = float(np.sqrt(rendered_power / count))
-    clear = float(np.clip((contrast - _PLAIN) / (_PRINTED - _PLAIN), 0, 1))
+    clear = float(np.clip((contrast - _PLAIN) / (_TEXTURED - _PLAIN), 0, 1))
     return clear * shared / float(np.sqrt(rendered_power * seen_power))
 
 

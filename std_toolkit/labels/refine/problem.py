@@ -99,7 +99,7 @@ class RefineObject:
         rough: search poses around the start before edge refinement, if there are two views or
             more; see `RefineOptions.rough_m`.
         colors: colours of its surface, if the mesh has a texture that distinguishes its sides.
-        print: the mesh with its colours at full resolution, if it has any.
+        texture: the mesh with its colours at full resolution, if it has any.
     """
 
     name: str
@@ -111,7 +111,7 @@ class RefineObject:
     fixed: bool = False
     rough: bool = False
     colors: SurfaceColors | None = None
-    print: TexturedSurface | None = None
+    texture: TexturedSurface | None = None
 
     @property
     def trusts_depth(self) -> bool:
@@ -152,7 +152,7 @@ class RefineOptions:
             counts as.
         rough_m, rough_turn: largest error of the start of a rough object: its centre, metres,
             and its rotation, radians.
-        use_prints: match the textures of meshes with the images.
+        use_textures: match the textures of meshes with the images.
         restarts: number of other starts near the result from which the last level is repeated, for
             the spread in the covariance.
     """
@@ -169,7 +169,7 @@ class RefineOptions:
     depth_samples: float = 1.5
     rough_m: float = 0.035
     rough_turn: float = float(np.deg2rad(18))
-    use_prints: bool = True
+    use_textures: bool = True
     restarts: int = 1
 
 
@@ -190,8 +190,8 @@ class RefinedObject:
         converged: the last step was small and enough edges agree with the contour.
         scale_coupling: (6,) change of the pose (right perturbation) that fits best per unit of
             change of the log scale of the camera positions; zeros if it was not refined.
-        print_beside: where the print lies relative to its place on the mesh, T_obj_print, if it
-            contradicts the contour and was not followed.
+        texture_offset: where the texture is relative to its place on the mesh, T_obj_texture, if
+            it contradicts the contour and was not followed.
     """
 
     name: str
@@ -203,21 +203,21 @@ class RefinedObject:
     views: int
     converged: bool
     scale_coupling: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
-    print_beside: SE3 | None = None
+    texture_offset: SE3 | None = None
 
-    def print_sentence(self, centre: NDArray[np.floating]) -> str:
-        """One sentence on a print that was not followed; "" if there is none.
+    def texture_sentence(self, centre: NDArray[np.floating]) -> str:
+        """One sentence on a texture that was not followed; "" if there is none.
 
         Args:
             centre: (3,) of the object, mesh frame.
         """
-        if self.print_beside is None:
+        if self.texture_offset is None:
             return ""
-        away = 1000 * float(np.linalg.norm(self.print_beside @ centre - centre))
-        turn = np.rad2deg(rotation_angle(self.print_beside.R))
+        away = 1000 * float(np.linalg.norm(self.texture_offset @ centre - centre))
+        turn = np.rad2deg(rotation_angle(self.texture_offset.R))
         return (
-            f"its print lies {away:.1f} mm and {turn:.1f} deg beside that of the mesh (another "
-            "print run?), so the contour was followed"
+            f"its texture is {away:.1f} mm and {turn:.1f} deg beside that of the mesh (another "
+            "production run?), so the contour was followed"
         )
 
 

@@ -17,11 +17,11 @@ from annotator.app.pose_text import PoseFields, RotationForm
 from annotator.app.questions import Question
 from annotator.app.verdicts import object_verdict
 from annotator.session.residuals import FrameResidual
-from std_toolkit.checks.ranking import PoseRank
+from std_toolkit.checks.measure.ranking import PoseRank
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.print import PrintComparison
 from std_toolkit.labels.support.plane import Plane, TablePlane
+from std_toolkit.labels.texture.comparison import TextureComparison
 
 
 @pytest.fixture
@@ -96,22 +96,24 @@ def test_a_pose_fits_only_if_most_frames_and_its_rank_say_so(
     assert words in found.text
 
 
-def test_a_print_that_fits_better_turned_is_offered_and_taken_as_one_edit(desk: Desk) -> None:
+def test_a_texture_that_fits_better_turned_is_offered_and_taken_as_one_edit(desk: Desk) -> None:
     c = desk.controller
     half = SE3(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     before = c.session.pose("box_1", 0)
     assert before is not None
     c.residuals["box_1"], c.ranks["box_1"] = GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
     assert not BY_ID["take_turn"].enabled(c)
-    c.prints["box_1"] = PrintComparison("turned", half, "turned by 180 deg about z", 0.1, 0.6, 4)
+    c.textures["box_1"] = TextureComparison(
+        "turned", half, "turned by 180 deg about z", 0.1, 0.6, 4
+    )
     assert object_verdict(c, "box_1").turned
-    assert "turned by 180 deg about z fits the print better" in verdict(c)
+    assert "turned by 180 deg about z fits the texture better" in verdict(c)
     assert BY_ID["take_turn"].enabled(c)
     BY_ID["take_turn"].run(c)
     after = c.session.pose("box_1", 0)
     assert after is not None
     np.testing.assert_allclose((before.inverse() @ after).R, half.R, atol=1e-9)
-    assert "box_1" not in c.prints
+    assert "box_1" not in c.textures
     c.undo()
     np.testing.assert_allclose(c.session.pose("box_1", 0).flat(), before.flat(), atol=1e-9)  # type: ignore[union-attr]
 

@@ -14,7 +14,7 @@ from PySide6.QtCore import Qt
 from annotator.app import operations
 from annotator.app.object_summary import summarize
 from annotator.session.residuals import FrameResidual
-from std_toolkit.checks.ranking import PoseRank
+from std_toolkit.checks.measure.ranking import PoseRank
 
 
 @pytest.mark.parametrize("alone", [True, False])

@@ -16,7 +16,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.importers import ImportRequest, import_recording
-from std_toolkit.labels.posefile import read_pose
+from std_toolkit.labels.entry.posefile import read_pose
 from std_toolkit.scene import Labels
 
 

@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.entry.label import add_model, add_object, set_pose
 from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.poses.publish import SPARSE, publish_model, rescaled_poses, work_folder
 from std_toolkit.scene import Scene

@@ -9,9 +9,9 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.outline_rays import mask_outline
-from std_toolkit.scanning.revolve import fit_outline_points, fit_revolution
-from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
+from std_toolkit.scanning.vessel.outline_rays import mask_outline
+from std_toolkit.scanning.vessel.revolve import fit_outline_points, fit_revolution
+from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 
 CAMERA = Camera(fx=420.0, fy=420.0, cx=159.5, cy=119.5, width=320, height=240)
 # Radius and height in metres, outside then inside: a tumbler with a waist.

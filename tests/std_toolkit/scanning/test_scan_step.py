@@ -19,11 +19,12 @@ from std_toolkit.io.images import read_color, write_color, write_png
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.board_scale import BoardDetection
-from std_toolkit.scanning import object_masks, scan_step
-from std_toolkit.scanning.board_adjustment import adjust, build_model
-from std_toolkit.scanning.board_photos import board_pose, calibrate, check_boards
+from std_toolkit.scanning import scan_step
+from std_toolkit.scanning.board.board_adjustment import adjust, build_model
+from std_toolkit.scanning.board.board_photos import board_pose, calibrate, check_boards
+from std_toolkit.scanning.masks import object_masks
 from std_toolkit.scanning.options import ScanOptions
-from std_toolkit.scanning.photos import blurred_photos
+from std_toolkit.scanning.photos.photos import blurred_photos
 from std_toolkit.scanning.stages import Stages
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views, look_at
 

@@ -16,12 +16,12 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning import scan_step
-from std_toolkit.scanning.depth_maps import depth_maps
-from std_toolkit.scanning.measured_surface import Side, fused_surface, measure_side
-from std_toolkit.scanning.photos import Photos, is_scene, scene_photos
-from std_toolkit.scanning.posed_photos import PosedPhotos
+from std_toolkit.scanning.photos.photos import Photos, is_scene, scene_photos
+from std_toolkit.scanning.photos.posed_photos import PosedPhotos
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.stages import Stages
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.surface.depth_maps import depth_maps
+from std_toolkit.scanning.surface.measured_surface import Side, fused_surface, measure_side
 from std_toolkit.scene import CameraModel, Frames, ObjectTable, Scene, SceneInfo
 from tests.scene_on_disk import write_frames
 from tests.std_toolkit.scanning.ball import CAMERA, ball_views

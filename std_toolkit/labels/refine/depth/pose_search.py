@@ -41,9 +41,9 @@ _LEEWAY = 1.3
 # Rotations about the axes of the bounding box: for the shape, and for the texture on it.
 _PLAIN_TURNS = np.deg2rad([90, 180, 270])
 
-_PRINT_TURNS = np.deg2rad(np.arange(15, 360, 15))
+_TEXTURE_TURNS = np.deg2rad(np.arange(15, 360, 15))
 
-_PRINT_FITS = 4
+_TEXTURE_FITS = 4
 
 # A rotated pose is considered if it explains the depth worse by at most the first figure. It
 # replaces the other only if it is better by the second, because a start from the wrong side is
@@ -51,9 +51,9 @@ _PRINT_FITS = 4
 _TURN_SLACK, _TURN_MARGIN = 0.15, 0.15
 
 # Weight of full texture agreement, in fractions of the object's pixels.
-_PRINT = 1.0
+_TEXTURE = 1.0
 
-# Below this correlation it is ignored: light, gloss and products with another print agree by as
+# Below this correlation it is ignored: light, gloss and products with another texture agree by as
 # much by chance.
 _CHANCE = 0.3
 
@@ -171,10 +171,10 @@ def _rivals(
     rivals = [icp(surface, obj, sensor_rays, T, gates_m=_SHORT) for T in turned]
     if obj.colors is not None:
         limit = scorer.depth(best) + _TURN_SLACK
-        printed = _turned(best, obj.centre, _PRINT_TURNS)
-        fitting = [T for T in printed if scorer.depth(T) < limit]
-        fitting.sort(key=scorer.print, reverse=True)
-        rivals += fitting[:_PRINT_FITS]
+        textured = _turned(best, obj.centre, _TEXTURE_TURNS)
+        fitting = [T for T in textured if scorer.depth(T) < limit]
+        fitting.sort(key=scorer.texture, reverse=True)
+        rivals += fitting[:_TEXTURE_FITS]
     return sorted(rivals, key=lambda T: scorer(T).total)
 
 
@@ -208,12 +208,12 @@ class PoseScore:
 
     Attributes:
         depth: cost of the depth per pixel of the object, about -0.7 (all explained) to 1.
-        print: correlation of the mesh's colours with the image, 0 if they are not informative.
+        texture: correlation of the mesh's colours with the image, 0 if they are not informative.
         total: cost with texture and the prior of the start.
     """
 
     depth: float
-    print: float
+    texture: float
     total: float
 
 
@@ -260,13 +260,13 @@ class PoseScorer:
 
     def __call__(self, T_world_obj: SE3) -> PoseScore:
         """All evidence on a pose."""
-        depth, agreement = self.depth(T_world_obj), self.print(T_world_obj)
+        depth, agreement = self.depth(T_world_obj), self.texture(T_world_obj)
         start = self._obj.T_world_obj
         turn = rotation_error(T_world_obj, start, self._obj.symmetry)
         centre = self._obj.centre
         shift = float(np.linalg.norm(T_world_obj @ centre - start @ centre))
         strayed = _TURN * (1 - float(np.cos(turn))) + _BEYOND * max(shift / self._reach - 1, 0.0)
-        worth = _PRINT * max(agreement - _CHANCE, 0.0)
+        worth = _TEXTURE * max(agreement - _CHANCE, 0.0)
         return PoseScore(depth, agreement, depth - worth + strayed)
 
     def _shown(self, T_world_obj: SE3) -> int:

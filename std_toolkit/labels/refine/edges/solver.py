@@ -20,8 +20,8 @@ from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.approach import approach
 from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend, weigh
 from std_toolkit.labels.refine.edges.measure import Level, PoseState, coarse_to_fine
-from std_toolkit.labels.refine.edges.print_matches import follow_prints
 from std_toolkit.labels.refine.edges.restarts import end_elsewhere
+from std_toolkit.labels.refine.edges.texture_matches import follow_textures
 from std_toolkit.labels.refine.edges.uncertainty import pose_covariances
 
 # Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
@@ -40,7 +40,7 @@ def refine_poses(
     objects: Sequence[problem.RefineObject],
     options: problem.RefineOptions | None = None,
     *,
-    print_views: Sequence[problem.RefineView] = (),
+    texture_views: Sequence[problem.RefineView] = (),
     layers: LayerStore | None = None,
     progress: problem.Progress = problem.no_progress,
 ) -> problem.RefineResult:
@@ -50,7 +50,7 @@ def refine_poses(
         views: images with metric camera poses; three or more from different sides determine
             objects without depth, one determines the distance to the camera weakly.
         objects: all labelled objects of the scene, so that occlusions between them are known.
-        print_views: more views, in which only prints are matched, because that is cheap.
+        texture_views: more views, in which only textures are matched, because that is cheap.
         layers: cached layers of the objects in these views, if any.
         progress: called with the completed fraction.
 
@@ -76,9 +76,9 @@ def refine_poses(
             progress=problem.sub_progress(progress, 0, searched),
         )
         options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
-    printed = options.use_prints and any(o.print is not None and not o.fixed for o in objects)
+    textured = options.use_textures and any(o.texture is not None and not o.fixed for o in objects)
     ended = searched + (1 - searched) * _RESTARTED
-    contours_done = searched + (ended - searched) * (0.6 if printed else 1.0)
+    contours_done = searched + (ended - searched) * (0.6 if textured else 1.0)
     state = PoseState([o.T_world_obj for o in objects])
     levels = coarse_to_fine(views, options)
     descent = descend(
@@ -90,10 +90,10 @@ def refine_poses(
         layers=layers,
         progress=problem.sub_progress(progress, searched, contours_done),
     )
-    if printed:
-        descent = follow_prints(
+    if textured:
+        descent = follow_textures(
             views,
-            print_views,
+            texture_views,
             objects,
             state,
             descent,
@@ -104,7 +104,7 @@ def refine_poses(
         )
     return _result(
         views,
-        print_views,
+        texture_views,
         objects,
         state,
         descent,
@@ -117,7 +117,7 @@ def refine_poses(
 
 def _result(
     views: Sequence[problem.RefineView],
-    print_views: Sequence[problem.RefineView],
+    texture_views: Sequence[problem.RefineView],
     objects: Sequence[problem.RefineObject],
     state: PoseState,
     descent: Descent,
@@ -133,8 +133,8 @@ def _result(
     covariance = system.covariance([o.radius for o in objects])
     rows, _, _ = weigh(len(objects), measured, scale, options, zero)
     noise = [covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(len(objects))]
-    # Matches of a print do not depend on the start.
-    followed = {i for i, _ in measured.prints}
+    # Matches of a texture do not depend on the start.
+    followed = {i for i, _ in measured.textures}
     ends = end_elsewhere(
         views,
         [replace(o, fixed=o.fixed or i in followed) for i, o in enumerate(objects)],
@@ -145,7 +145,7 @@ def _result(
         layers=layers,
         progress=progress,
     )
-    every = [*views, *print_views]
+    every = [*views, *texture_views]
     blocks = pose_covariances(system, rows, every, state.poses, objects, ends, scale=scale)
     refined = []
     for i, obj in enumerate(objects):
