@@ -83,8 +83,8 @@ _MODULES = {
     "RenderOptions": "options",
     "Scene": "scene.scene",
     "ToolkitError": "errors",
-    "add_model": "labels.label",
-    "add_object": "labels.label",
+    "add_model": "labels.entry.label",
+    "add_object": "labels.entry.label",
     "estimate_poses": "poses.pose_step",
     "export_scene": "exporters.export_step",
     "failed_gates": "poses.pose_step",
@@ -95,9 +95,9 @@ _MODULES = {
     "render_ground_truth": "rendering.render_step",
     "rendered_frames": "rendering.ground_truth",
     "run_check": "checks.check_step",
-    "run_label_command": "labels.label_command",
-    "set_pose": "labels.label",
-    "solve_pnp": "labels.pnp",
+    "run_label_command": "labels.entry.label_command",
+    "set_pose": "labels.entry.label",
+    "solve_pnp": "labels.entry.pnp",
 }
 
 install()
