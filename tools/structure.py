@@ -27,7 +27,7 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
         ("errors",),
-        ("log", "options", "plugins"),
+        ("log", "options", "plugins", "settings"),
         ("compiled",),
         ("",),
         ("geometry", "io", "jobs"),

@@ -37,6 +37,7 @@ from std_toolkit.jobs.options import (
     worker_died,
 )
 from std_toolkit.log import logger
+from std_toolkit.settings import in_force, use
 
 Call = Callable[[Any], Outcome[Any]]
 
@@ -171,12 +172,14 @@ def _duration(seconds: float) -> str:
 
 
 class _Guarded(Generic[Item, Result]):
-    """`fn` with its exceptions turned into outcomes, which can be sent between processes."""
+    """`fn` under the present limits, its exceptions turned into outcomes; can be pickled."""
 
     def __init__(self, fn: Callable[[Item], Result]) -> None:
         self.fn = fn
+        self.limits = in_force()
 
     def __call__(self, item: Item) -> Outcome[Result]:
+        use(self.limits)
         try:
             return Outcome(result=self.fn(item))
         except (KeyboardInterrupt, GeneratorExit):

@@ -348,12 +348,12 @@ def _disagreement_sigma(scale: ScaleReport, options: PoseOptions) -> float:
 
 def matches_gate(explained: float) -> Gate:
     """Gate of a small set whose pairs were all matched; a ring may close on the wrong side."""
-    from std_toolkit.poses.small_sets import MIN_EXPLAINED
+    from std_toolkit.poses.small_sets import SmallSetSettings
 
     return _at_least(
         "matches_explained",
         explained,
-        MIN_EXPLAINED,
+        SmallSetSettings.current().explained,
         "matches of neighbouring images contradict the poses: sides that look alike were taken for "
         "one; put texture around the object, or give known poses with --cameras",
     )
