@@ -128,7 +128,7 @@ def tiny_dreds(made_once: MakeOnce) -> Path:
     own, in about 15 s of processor time, less where the convex parts of its shapes are kept; so
     mark tests that need it `slow`, and copy it before changing anything in it.
     """
-    for package in ("mitsuba", "mujoco", "coacd", "manifold3d", "numba"):
+    for package in ("mitsuba", "mujoco", "coacd", "manifold3d"):
         if find_spec(package) is None:
             pytest.skip(f"the simulator's extra is not installed: no {package}")
     from sensors.simulation.options import SimulationOptions

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.compiled import compiled
+from std_toolkit.compiled import compiled
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, largest_radius2
 from std_toolkit.geometry.se3 import SE3
