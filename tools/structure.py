@@ -49,7 +49,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cli",),
     ),
     "sensors": (
-        ("", "assets", "compiled", "materials", "output", "specs", "viewpoints"),
+        ("", "assets", "materials", "output", "specs", "viewpoints"),
         ("align", "lighting", "pattern", "physics", "stereo"),
         ("record", "render"),
         ("depth_models",),

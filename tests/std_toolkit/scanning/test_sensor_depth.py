@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
