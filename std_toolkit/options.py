@@ -419,6 +419,8 @@ class ExportOptions:
     drop_bad_frames: bool = False
     """leave out frames in which the check found a wrong camera pose, shifted depth, an unreadable
     file, or an object that does not fit; needs a current report of `std-curate check`"""
+    settings: tuple[str, ...] = field(default=(), metadata={"option": "set"})
+    """NAME=VALUE, own settings of an exporter plug-in"""
     overwrite: bool = False
     """replace an earlier export"""
 

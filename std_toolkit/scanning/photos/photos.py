@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, undistort_image
+from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color, write_color
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
@@ -19,7 +20,6 @@ from std_toolkit.poses.features import FrameMeasure, measure_image
 from std_toolkit.scanning.photos.video import PHOTOS, spread
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.scene import Frame, Scene
-from std_toolkit.scene.document import digest_file
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 

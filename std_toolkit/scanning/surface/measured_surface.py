@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,13 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.io.documents import digest_of
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.scanning.masks.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks.masks import covered, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
-from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface.depth_maps import DepthEngine, DepthMap
 from std_toolkit.scanning.surface.hollow import hollowed
 from std_toolkit.scanning.surface.photo_polish import fit_photos
@@ -30,7 +32,6 @@ from std_toolkit.scanning.surface.polish import averaging, fit_outlines
 from std_toolkit.scanning.surface.sensor_depth import ScanDepthSettings, depth_factor, sensor_maps
 from std_toolkit.scanning.surface.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.surface.underside import flatten_unseen
-from std_toolkit.scene.document import digest_of
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Depth below the hull that is searched, as a share of the longest side.
@@ -101,7 +102,7 @@ def measure_side(
     posed: PosedPhotos,
     views: Sequence[View],
     engine: DepthEngine,
-    stages: Stages,
+    work: Path,
     threads: int,
     lap: Callable[[str], None],
 ) -> Side:
@@ -110,19 +111,18 @@ def measure_side(
     floors = [SE3.identity()] if posed.on_table else []
     hull, disputed = _hulls(views, grid, floors, threads)
     lap("hull")
-    key = digest_of(
-        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth,
-        "depth 2",
-    )  # fmt: skip
+    values = {name: getattr(options, name) for name in ("voxels", "neighbours", "depth")}
+    inputs = {"poses": posed.digest, "masks": _mask_digest(views)}
+    artefact = Artefact(work, "depth", inputs, values | {"format": 2})
     looked = views if disputed is hull else _with_disputed(views, disputed, grid, threads)
-    maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, stages, key, threads)
+    maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, artefact, threads)
     sensor = _sensor(posed, views, hull, grid, threads)
     lap("depth maps")
     return Side(
         # The images of depth are large, and no longer needed.
         views=[replace(v, sensor=None) for v in views],
-        maps=maps, grid=grid, hull=hull, disputed=disputed, on_table=posed.on_table, digest=key,
-        sensor=sensor,
+        maps=maps, grid=grid, hull=hull, disputed=disputed, on_table=posed.on_table,
+        digest=artefact.digest, sensor=sensor,
     )  # fmt: skip
 
 
@@ -289,8 +289,7 @@ def _depth(
     grid: Grid,
     longest: float,
     neighbours: int,
-    stages: Stages,
-    key: str,
+    artefact: Artefact,
     threads: int,
 ) -> list[DepthMap | None]:
     surface = surface_of(hull, grid)
@@ -307,7 +306,7 @@ def _depth(
                     out[f"{name}{i}"] = getattr(m, name)
         return out
 
-    a = stages.arrays("depth", key, make)
+    a = artefact.arrays(make)
     return [
         DepthMap(
             int(a[f"at{i}"][0]), int(a[f"at{i}"][1]), a[f"depth{i}"], a[f"normal{i}"],
