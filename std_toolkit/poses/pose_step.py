@@ -160,7 +160,16 @@ def _known_poses(scene: Scene, options: PoseOptions) -> KnownPoses | None:
         return None
     from std_toolkit.poses.known_cameras import read_known_poses
 
-    return read_known_poses(options.known, scene.frames)
+    known = read_known_poses(options.known, scene.frames)
+    models = {lens.model for lens in known.filed.lenses if lens is not None}
+    if models != {"opencv"} and models and not scene.info.recorded_lenses:
+        logger.warning(
+            "%s states a %s lens, which the images of the scene are taken not to have; "
+            "`std-curate import --cameras` undistorts images",
+            known.filed.path,
+            ", ".join(sorted(models)),
+        )
+    return known
 
 
 def _forget_world_poses(scene: Scene) -> None:
