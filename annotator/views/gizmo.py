@@ -24,7 +24,7 @@ from annotator.views.drags import (
     plane_basis,
 )
 from annotator.views.projection import ScreenCamera
-from annotator.views.triangles import Color, Strokes
+from annotator.views.strokes import Color, Strokes
 from std_toolkit.geometry import SE3
 
 __all__ = ["ARROW_START", "AXIS_COLORS", "HOVERED", "draw_gizmo"]
@@ -151,10 +151,10 @@ class GizmoFrame:
         near: NDArray[np.bool_] = out @ self.sight <= 1e-9 * self.length_m
         return near
 
-    def hit(self, gizmo: Gizmo, xy: ArrayLike, *, reach_px: float = REACH_PX) -> Handle | None:
+    def hit(self, gizmo: Gizmo, xy: ArrayLike) -> Handle | None:
         """Return the handle at a screen position, the foremost of equally near ones, or None."""
         point = np.asarray(xy, dtype=np.float64)
-        best, found = reach_px, None
+        best, found = REACH_PX, None
         for handle in self.handles(gizmo):
             line = self.line(handle)
             if len(line) == 0:

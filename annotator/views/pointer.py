@@ -16,11 +16,12 @@ from annotator.app.controller import Controller
 from annotator.app.view_options import Mode
 from annotator.views import drags, gizmo, scene_view
 from annotator.views.interaction import (
-    Array,
     Events,
+    Gesture,
     MarkerGesture,
     OrbitGesture,
     PanGesture,
+    PoseGesture,
     add_pixel,
     interactor_of,
     marker_at,
@@ -45,47 +46,6 @@ WHEEL_PAUSE_S = 0.4
 SMALLEST_TRACKBALL_PX = 60.0
 
 Later = Callable[[float, Callable[[], None]], None]
-
-
-class Gesture(Protocol):
-    """Current drag; positions are (2,) screen positions.
-
-    Attributes:
-        moves_view: whether it moves the eye of this view instead of objects.
-    """
-
-    moves_view: bool
-
-    def start(self, at: Array) -> None: ...
-    def to(self, at: Array) -> None: ...
-    def finish(self) -> None: ...
-    def cancel(self) -> None: ...
-
-
-class PoseGesture:
-    """Moves an object in all views; the release commits one edit."""
-
-    moves_view = False
-
-    def __init__(
-        self, view: scene_view.SceneView, name: str, drag: drags.Drag, method: str
-    ) -> None:
-        self._view, self._name, self._drag, self._method = view, name, drag, method
-        self._frame = view.frame
-        self._T_cam_eye = view.T_eye_cam.inverse()
-
-    def start(self, at: Array) -> None:
-        pass
-
-    def to(self, at: Array) -> None:
-        T_cam_obj = self._T_cam_eye @ self._drag.to(at)
-        self._view.controller.drag_to(self._name, self._frame, T_cam_obj)
-
-    def finish(self) -> None:
-        self._view.controller.end_drag(self._method)
-
-    def cancel(self) -> None:
-        self._view.controller.cancel_drag()
 
 
 class Motion(Protocol):

@@ -16,13 +16,13 @@ from torch import Tensor, nn
 from benchmark.data.frame import BACKGROUND, Material
 from benchmark.evaluation.depth_panels import strip
 from benchmark.metrics.depth.accumulate import DepthMetrics
+from benchmark.metrics.depth.figures import NAMES
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.step import Batch, made_of, network_depth
 from std_toolkit.io.images import write_color
 
 # Pixels that are compared, the most telling first: the score is of the first that there are.
 SUBSETS = ("specular_transparent", "objects", "all")
-SHOWN = ("rmse", "rel", "mae", "d105", "d110", "d125")
 _PICTURES = 6
 
 Context = Callable[[], AbstractContextManager[Any]]
@@ -156,7 +156,7 @@ def scores_of(states: np.ndarray) -> dict[str, float]:
         metrics = DepthMetrics()
         metrics.merge_state(state)
         means = metrics.compute()
-        found |= {f"{name}_{metric}": means[metric] for metric in SHOWN}
+        found |= {f"{name}_{metric}": means[metric] for metric in NAMES}
     return found
 
 

@@ -18,18 +18,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
+import msgspec
 import numpy as np
 
 from sensors.output.scene_record import ReceivedFrames, SceneRecord, scene_record
 from sensors.output.simulated_frame import Image8, SimulatedFrame, SimulatedObject, SimulatedScene
-from std_toolkit import __version__
 from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh, write_mesh
 from std_toolkit.io import atomic, documents, exr, images
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.rendering import ground_truth, maps, placements, raycast
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.scene.document import digest_file, digest_of, safe_name
+from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,
@@ -107,7 +108,7 @@ class ToolkitSceneWriter:
             write_mesh(folder / obj.model.mesh, obj.mesh)
         info = SceneInfo(
             name=scene.name,
-            cameras={"color": CameraModel.of(self._received.label_camera)},
+            cameras={"color": CameraModel.of(self._received.cameras.label)},
             source=f"{SOURCE}:{scene.sensor}",
         )
         names = [(i, frame_name(i)) for i in range(scene.frames)]
@@ -128,8 +129,7 @@ class ToolkitSceneWriter:
                 notes=["exact poses of the simulation, in metres"],
             )
         )
-        labels = [label for obj in self._objects if (label := self._label(obj)) is not None]
-        written.save_labels(Labels(labels=labels))
+        written.save_labels(Labels(labels=[self._label(obj) for obj in self._objects]))
         for frame, rows in sorted(self._rows.items()):
             self._write_info(written, frame, rows)
         documents.write_document(record_path(folder), scene_record(self._received))
@@ -143,8 +143,6 @@ class ToolkitSceneWriter:
         rows = []
         for obj in self._objects:
             key = obj.item.instance_id
-            if key in frame.hidden:
-                continue
             T_cam_obj = T_cam_world @ obj.item.T_world_obj
             alone = maps.object_silhouette(
                 self._renderer, camera, self._prepared[key], T_cam_obj, canvas=3
@@ -167,33 +165,24 @@ class ToolkitSceneWriter:
             )
         return rows
 
-    def _label(self, obj: MetricObject) -> Label | None:
-        """The exact pose; one per view if the object was left out of some views."""
-        key = obj.item.instance_id
-        visible = [
-            i for i in range(self._received.scene.frames) if key not in self._received.hidden[i]
-        ]
-        if not visible:
-            return None
-        everywhere = len(visible) == self._received.scene.frames
-        poses = {i: (self._T_world_cam(i).inverse() @ obj.item.T_world_obj).flat() for i in visible}
+    def _label(self, obj: MetricObject) -> Label:
+        """The exact pose."""
+        T_world_obj = obj.item.T_world_obj
         return Label(
-            object=key,
-            frame=visible[0],
-            T_cam_obj=poses[visible[0]],
-            # A pose in the world would also apply to the views that it was left out of.
-            T_world_obj=obj.item.T_world_obj.flat() if everywhere else None,
+            object=obj.item.instance_id,
+            frame=0,
+            T_cam_obj=(self._T_world_cam(0).inverse() @ T_world_obj).flat(),
+            T_world_obj=T_world_obj.flat(),
             method=SOURCE,
-            views={} if everywhere else {str(i): poses[i] for i in visible[1:]},
         )
 
     def _write_info(self, scene: Scene, frame: int, rows: list[ObjectTruth]) -> None:
         paths = map_paths(scene.root, frame)
-        outputs = {p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()}
-        inputs = placements.frame_inputs(scene, frame)
+        artefact = Artefact(scene.root, SOURCE, placements.frame_inputs(scene, frame))
         documents.write_document(
             info_path(scene.root, frame),
             FrameTruth(
+                **msgspec.structs.asdict(artefact.record(paths.values())),
                 frame=frame,
                 policy="models",
                 delta_m=None,
@@ -201,10 +190,6 @@ class ToolkitSceneWriter:
                 renderer=self._renderer.name,
                 smooth_normals=True,
                 objects=rows,
-                version=__version__,
-                inputs=inputs,
-                digest=digest_of(SOURCE, frame, inputs, outputs),
-                outputs=outputs,
             ),
         )
 
@@ -212,10 +197,6 @@ class ToolkitSceneWriter:
 @contextmanager
 def toolkit_scene(out: Path, scene: SimulatedScene) -> Iterator[ToolkitSceneWriter]:
     """A writer of a scene, which appears at `out` when the block ends without an error.
-
-    Objects that were left out of some views have poses only in the others (`views` of the
-    label). This is correct, but `std-curate check` reports them as not propagated; for curation
-    leave no object out.
 
     Raises:
         ToolkitError: `out` exists, or not every frame was written.
