@@ -169,7 +169,9 @@ class FramePaths:
         images = {"colour image": frame.color, "depth image": frame.depth}
         inputs = {name: digest_file(path) for name, path in images.items()}
         if frame.undistortion is not None:
-            inputs["cameras of the undistortion"] = digest_of(repr(frame.undistortion), versioned=False)
+            inputs["cameras of the undistortion"] = digest_of(
+                repr(frame.undistortion), versioned=False
+            )
         return Artefact(self.out, f"frame {frame.name}", inputs)
 
 
