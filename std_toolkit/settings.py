@@ -263,4 +263,6 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f"{name} = {_toml(v)}" for name, v in value.items()) + " }"
     if isinstance(value, tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return str(value).lower() if isinstance(value, bool) else repr(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value if isinstance(value, int) else float(value))

@@ -30,7 +30,8 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("log", "options", "plugins", "settings"),
         ("compiled",),
         ("",),
-        ("geometry", "io", "jobs"),
+        ("geometry", "io"),
+        ("jobs",),
         ("cameras", "html", "scene"),
         ("poses", "rendering"),
         ("importers",),
@@ -48,7 +49,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cli",),
     ),
     "sensors": (
-        ("", "assets", "compiled", "materials", "output", "specs", "viewpoints"),
+        ("", "assets", "materials", "output", "specs", "viewpoints"),
         ("align", "lighting", "pattern", "physics", "stereo"),
         ("record", "render"),
         ("depth_models",),

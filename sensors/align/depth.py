@@ -11,9 +11,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.compiled import compiled
+from std_toolkit.compiled import compiled
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, largest_radius2
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.camera_models import largest_radius2
 from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
@@ -83,8 +84,7 @@ def _patch_rays(camera: Camera) -> tuple[Array, ...]:
             rays = camera.unproject(np.stack(np.meshgrid(across, down), axis=-1))
             arrays += [np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])]
         else:
-            x = (across - camera.cx) / camera.fx
-            y = (down - camera.cy) / camera.fy
+            x, y = camera.pinhole_rays(across, down)
             arrays += [np.broadcast_to(x, shape), np.broadcast_to(y[:, None], shape)]
     return tuple(arrays)
 
@@ -92,7 +92,7 @@ def _patch_rays(camera: Camera) -> tuple[Array, ...]:
 @lru_cache(maxsize=16)
 def _lens(camera: Camera) -> Array:
     """Intrinsics in the form that `splat` takes."""
-    k = (*camera.distortion, *([0.0] * (8 - len(camera.distortion))))
+    k = camera.opencv_distortion
     reach = largest_radius2(camera.distortion) if camera.is_distorted else np.inf
     bent = float(camera.is_distorted)
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *k, reach, bent])

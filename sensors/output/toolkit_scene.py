@@ -18,19 +18,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
+import msgspec
 import numpy as np
 
 from sensors.output.scene_record import ReceivedFrames, SceneRecord, scene_record
 from sensors.output.simulated_frame import Image8, SimulatedFrame, SimulatedObject, SimulatedScene
-from std_toolkit import __version__
 from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh, write_mesh
 from std_toolkit.io import atomic, documents, exr, images
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.rendering import ground_truth, maps, placements, raycast
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.scene import model as scene_model
-from std_toolkit.scene.document import digest_file, digest_of, safe_name
+from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -167,11 +168,11 @@ class ToolkitSceneWriter:
 
     def _write_info(self, scene: Scene, frame: int, rows: list[ObjectTruth]) -> None:
         paths = map_paths(scene.root, frame)
-        outputs = {p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()}
-        inputs = placements.frame_inputs(scene, frame)
+        artefact = Artefact(scene.root, SOURCE, placements.frame_inputs(scene, frame))
         documents.write_document(
             info_path(scene.root, frame),
             FrameTruth(
+                **msgspec.structs.asdict(artefact.record(paths.values())),
                 frame=frame,
                 policy="models",
                 delta_m=None,
@@ -179,10 +180,6 @@ class ToolkitSceneWriter:
                 renderer=self._renderer.name,
                 smooth_normals=True,
                 objects=rows,
-                version=__version__,
-                inputs=inputs,
-                digest=digest_of(SOURCE, frame, inputs, outputs),
-                outputs=outputs,
             ),
         )
 

@@ -11,7 +11,6 @@ import time
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import msgspec
@@ -28,16 +27,15 @@ from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh, TruthCa
 from sensors.simulation import turntable_objects
 from sensors.simulation.options import TurntableOptions
 from sensors.viewpoints.views import look_at
-from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.importers.foreign_files import write_mesh
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, read_document, write_document
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.artefact import begin
 from std_toolkit.poses.board_sheet import make_board_sheet
-from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import CameraModel
 
 _TABLE_HALF_M = 1.2
@@ -309,23 +307,12 @@ def _defocus(
 
 def _begin(options: TurntableOptions) -> None:
     """Refuse a folder that was begun with other options."""
-    path = options.out / _BEGUN
     values = {k: v for k, v in asdict(options).items() if k != "out"}
     # Files by name and content, for folders move.
     wanted = msgspec.to_builtins(values, enc_hook=lambda file: f"{file.name} {digest_file(file)}")
-    if path.exists():
-        begun = read_document(path, dict[str, Any])
-        if begun != json.loads(json.dumps(wanted)):
-            raise ToolkitError(
-                "photos with other options were begun here",
-                path=path,
-                hint="choose another folder, or remove this one",
-            )
-        return
-    if options.out.is_dir() and any(options.out.iterdir()):
-        raise ToolkitError(
-            "the folder holds something else than photos of a turntable",
-            path=options.out,
-            hint="choose another folder, or remove this one",
-        )
-    write_bytes_atomic(path, json.dumps(wanted, indent=1).encode() + b"\n")
+    begin(
+        options.out / _BEGUN,
+        json.loads(json.dumps(wanted)),
+        what="these photos were",
+        hint="choose another folder, or remove this one",
+    )

@@ -306,12 +306,16 @@ def _prepare_worker(width: int) -> None:
     threads = str(max(1, usable_cores() // width))
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(variable, threads)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    die_with_parent()
 
 
-def _die_with_parent() -> None:
-    # A worker of a killed parent would otherwise wait for work forever.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)
+def die_with_parent() -> None:
+    """End this worker process when its parent ends; it would otherwise wait for work forever."""
+
+    def wait_for_end() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            connection.wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=wait_for_end, daemon=True).start()

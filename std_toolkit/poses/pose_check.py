@@ -116,8 +116,9 @@ def _linear(
     A, b = np.zeros((3, 3)), np.zeros(3)
     for pixel, f in zip(uv, seen, strict=True):
         T = T_world_cam[f]
-        ray = T.R @ np.array([(pixel[0] - camera[f].cx) / camera[f].fx,
-                              (pixel[1] - camera[f].cy) / camera[f].fy, 1.0])  # fmt: skip
+        ray = T.R @ camera[f].unproject(pixel)
+        if not np.isfinite(ray).all():  # a pixel that no ray reaches
+            continue
         ray /= np.linalg.norm(ray)
         P = np.eye(3) - np.outer(ray, ray)
         A += P

@@ -16,8 +16,8 @@ from std_toolkit.geometry import SE3, rotation_error
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
 from std_toolkit.labels.texture.alternatives import Alternative, NearSymmetry
 from std_toolkit.labels.texture.scores import (
-    SMALLEST_PX,
     TextureScore,
+    TextureViewSettings,
     TextureWindow,
     cut_window,
     score_view,
@@ -133,7 +133,7 @@ def compare_texture(
         centre,
         obj.radius,
         count=FRAMES,
-        smallest_px=SMALLEST_PX,
+        smallest_px=TextureViewSettings.current().smallest_px,
     )
     views = [views[k] for k in chosen]
     in_view = [v.T_world_cam.inverse() @ obj.T_world_obj for v in views]

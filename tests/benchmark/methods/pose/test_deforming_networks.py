@@ -12,8 +12,8 @@ from benchmark.methods.pose.sgpa import PRESETS as SGPA
 from benchmark.methods.pose.sgpa import Adaptation, SGPANetwork, Structure, StructurePoints
 from benchmark.methods.pose.spd_network import PRESETS as SPD
 from benchmark.methods.pose.spd_network import PatchFeatures, SPDNetwork
-from benchmark.methods.registry import configured
 from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import configured
 
 SMALL = {
     "prior_points": "64",
