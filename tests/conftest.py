@@ -7,6 +7,7 @@ import gc
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable, Generator, Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REPOSITORY = Path(__file__).resolve().parent.parent
 
+if sys.dont_write_bytecode and sys.pycache_prefix is None:
+    # Nothing is written beside the sources then. Compiling all tests anew, with pytest's rewritten
+    # assertions, takes half of the processor time of a collection.
+    sys.pycache_prefix = str(REPOSITORY / ".pytest_cache" / "bytecode")
+    sys.dont_write_bytecode = False
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Each worker has a core; more threads would only wait for each other. Read at first imports.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
