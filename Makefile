@@ -9,7 +9,7 @@ DEMO ?= build/demo
 WORKERS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help env demo test test-quick test-long test-random test-programs lint format docs dist perf schemas structure mutants nightly clean
+.PHONY: help env demo test test-quick test-long test-random test-programs lint format docs dist figures perf schemas structure mutants nightly clean
 
 help:
 	@echo "make demo   record a synthetic scene, curate it, show the label error, exports, a leaderboard"
@@ -17,6 +17,7 @@ help:
 	@echo "            make test-random: in another order each time)"
 	@echo "make lint   ruff and mypy"
 	@echo "make docs   the documentation site in build/site"
+	@echo "make figures   the measured figures of docs/results/ in README, guides and cards"
 	@echo "make dist   wheel and source distribution in build/dist"
 	@echo "make perf   tables of timings and ratios (make perf PERF=perf/render.py: of some scripts)"
 	@echo "make mutants   small changes of the code that no test notices (up to 2 hours)"
@@ -68,6 +69,10 @@ format: env
 docs: env
 	@tools/make-env "$(PYTHON)" "$(VENV)" docs
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --clean
+
+# Figures live in docs/results/*.csv; pages show them between invisible comments (tools/figures.py).
+figures: env
+	@$(BIN)/python tools/figures.py
 
 dist: env
 	@$(BIN)/python tools/make_dist.py --out build/dist

@@ -46,7 +46,7 @@ def runs(
                 yield count, attempt
 
 
-def print_rows(title: str, tried: list[tuple[int, Attempt]], *, depth: bool) -> None:
+def texture_rows(title: str, tried: list[tuple[int, Attempt]], *, depth: bool) -> None:
     print(f"\n{title}")
     head = f"{'views':>5} {'material':<12}{'n':>4}{'median':>8}{'p90':>7}{'worst':>8} mm"
     print(f"{head}{'median':>8}{'p90':>7}{'worst':>8} deg{'lost':>6}{'s':>7}{'CPU s':>7}")
@@ -93,10 +93,10 @@ def main() -> None:
             sensed += runs(annotator, args.views[:2], args.starts, seed)
             single += runs(annotator, [1], args.starts, seed)
             print(f"recording {seed} done", file=sys.stderr, flush=True)
-    print_rows("without depth", without, depth=False)
-    print_rows("with sensor depth that reads 1.5 % long", sensed, depth=True)
+    texture_rows("without depth", without, depth=False)
+    texture_rows("with sensor depth that reads 1.5 % long", sensed, depth=True)
     opaque = [(v, a) for v, a in single if a.material == "diffuse"]
-    print_rows("one frame with that depth: nothing tells how long it reads", opaque, depth=True)
+    texture_rows("one frame with that depth: nothing tells how long it reads", opaque, depth=True)
 
 
 if __name__ == "__main__":

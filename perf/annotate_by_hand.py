@@ -28,7 +28,7 @@ from annotating import AIM_PX, camera_of, display_server
 
 from sensors.output.recording_writer import read_truth
 from sensors.synthetic import RecordingOptions, make_recording
-from sensors.synthetic.recording import printed_meshes
+from sensors.synthetic.recording import textured_meshes
 from std_toolkit.cli.main import main as curate
 from std_toolkit.geometry import SE3, so3_exp, so3_log
 
@@ -79,7 +79,7 @@ def box(work: Path) -> Task:
     mesh = work / "cereal_box.glb"
     if not (work / "box_posed").is_dir():
         make_recording(recording, options)
-        printed_meshes(options)["cereal_box"].export(mesh)
+        textured_meshes(options)["cereal_box"].export(mesh)
         shutil.rmtree(scene, ignore_errors=True)
         folders = ["--color", str(recording / "color"), "--depth", str(recording / "depth")]
         numbers = ["--depth-scale", "0.001", "--intrinsics", str(recording / "intrinsics.json")]
@@ -144,7 +144,7 @@ def label(task: Task, work: Path, seed: int) -> tuple[float, float, int, str]:
     hand.press(Qt.Key.Key_R)
     hand.wait(lambda: name in c.ranks, 120)
     wait(2 * THINK_S)  # looks at the views and the verdict
-    compared = c.prints.get(name)
+    compared = c.textures.get(name)
     if compared is not None and compared.verdict == "turned":
         wait(KEY_S)
         hand.press(Qt.Key.Key_Y)

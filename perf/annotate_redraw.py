@@ -76,8 +76,8 @@ def give_textures(root: Path, mesh: Path | None) -> None:
             uv = np.stack([np.arctan2(unit[:, 1], unit[:, 0]) / (2 * np.pi) + 0.5,
                            unit[:, 2] / 2 + 0.5], axis=1)  # fmt: skip
             noise = np.random.default_rng(k).integers(30, 230, (512, 512, 3), dtype=np.uint8)
-            print_ = Image.fromarray(np.kron(noise, np.ones((8, 8, 1), np.uint8)))
-            material = trimesh.visual.material.PBRMaterial(baseColorTexture=print_)
+            texture = Image.fromarray(np.kron(noise, np.ones((8, 8, 1), np.uint8)))
+            material = trimesh.visual.material.PBRMaterial(baseColorTexture=texture)
             solid.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
         else:
             solid = load_mesh(mesh)

@@ -3,9 +3,9 @@
     python perf/label_deviation.py [--seeds 100 140] [--work FOLDER] [--propagate]
 
 Synthetic recordings of six objects each are refined from starts 15 mm and 8 degrees off, in three
-to nine frames, with and without sensor depth. In two of five recordings opaque meshes have a print.
+to nine frames, with and without sensor depth. In two of five of them opaque meshes have a texture.
 In every second recording each mesh is another size than its object (standard deviation 0.3 % along
-each axis) and its print is shifted on each side (0.4 mm); in every third the camera poses are wrong
+each axis) and its texture is shifted on each side (0.4 mm); in every third camera poses are wrong
 by the deviations that poses.json states. The errors of the refined poses, whitened by the
 reported covariance, should lie within one deviation in 68 % and within two in 95 % of the
 directions. Rotations about axes of symmetry are left out.
@@ -39,8 +39,8 @@ def print_table(rows: list[Row]) -> None:
     groups = {
         "all": rows,
         **{m: [r for r in rows if r.material == m] for m in ("diffuse", "specular", "transparent")},
-        "diffuse, plain": [r for r in rows if r.material == "diffuse" and not r.printed],
-        "diffuse, print": [r for r in rows if r.printed],
+        "diffuse, plain": [r for r in rows if r.material == "diffuse" and not r.textured],
+        "diffuse, texture": [r for r in rows if r.textured],
         **{f"{n} frames": [r for r in rows if r.frames == n] for n in (3, 4, 6, 9)},
         "with depth": [r for r in rows if r.depth],
         "without depth": [r for r in rows if not r.depth],

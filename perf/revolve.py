@@ -28,8 +28,8 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.images import read_color
-from std_toolkit.scanning.revolve import fit_revolution
-from std_toolkit.scanning.revolved_surface import OutlineView
+from std_toolkit.scanning.vessel.revolve import fit_revolution
+from std_toolkit.scanning.vessel.revolved_surface import OutlineView
 
 # Outer and inner profiles, (radius, height) in millimetres, bottom first; a thousandth of a
 # millimetre on the axis closes the surface.

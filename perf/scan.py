@@ -196,8 +196,8 @@ def measured(name: str, options: Any, truth: Any, folder: Path | None = None) ->
 def dino(work: Path) -> None:
     from std_toolkit.geometry.ray_caster import RayCaster
     from std_toolkit.options import KnownCameras
+    from std_toolkit.scanning.model.report import outline_overlap
     from std_toolkit.scanning.options import ScanOptions
-    from std_toolkit.scanning.report import outline_overlap
 
     folder = DATA / "dino_ring"
     options = ScanOptions(

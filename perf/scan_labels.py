@@ -37,9 +37,9 @@ from sensors.synthetic.truth import label_errors, write_annotations  # noqa: E40
 from std_toolkit.geometry.mesh import load_mesh  # noqa: E402
 from std_toolkit.importers.foreign_files import write_mesh  # noqa: E402
 from std_toolkit.jobs import JobOptions  # noqa: E402
+from std_toolkit.scanning.model.write_model import write_model  # noqa: E402
 from std_toolkit.scanning.options import ScanOptions  # noqa: E402
 from std_toolkit.scanning.scan_step import scan  # noqa: E402
-from std_toolkit.scanning.write_model import write_model  # noqa: E402
 from std_toolkit.scene.scene import Scene  # noqa: E402
 
 # Thickness of the walls of open vessels at the rim, as calipers measure it.

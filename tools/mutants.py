@@ -49,7 +49,7 @@ AREAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("tests/std_toolkit/poses",),
     ),
     "gates": (
-        ("std_toolkit/poses/pose_step.py", "std_toolkit/checks/gates.py"),
+        ("std_toolkit/poses/pose_step.py", "std_toolkit/checks/gates/*.py"),
         ("tests/std_toolkit/poses", "tests/std_toolkit/checks"),
     ),
     "metrics": (("benchmark/metrics/**/*.py",), ("tests/benchmark/metrics",)),

@@ -141,7 +141,7 @@ def _import_heavy(_: Task) -> None:
     for name in (
         "annotator.session.requests",
         "annotator.session.residuals",
-        "std_toolkit.checks.ranking",
+        "std_toolkit.checks.measure.ranking",
         "std_toolkit.labels.support.table",
         "std_toolkit.labels.auto_refine",
     ):

@@ -15,7 +15,7 @@ Kind = Literal[
     "view",  # image or cloud, style, opacity, what is drawn
     "look",  # views show the whole image ("fit") or zoom to the object ("object"): `text`
     "residuals",  # the residuals of `objects` were measured
-    "verdict",  # rank or print comparison of `objects` are known
+    "verdict",  # rank or texture comparison of `objects` are known
     "penetration",  # penetrations were computed
     "table",  # the table was found
     "tool",  # gizmo, steps, axes, clicking

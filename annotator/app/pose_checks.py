@@ -15,7 +15,7 @@ from annotator.session.state import ObjectState, Snapshot
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
-    from std_toolkit.checks.ranking import PoseRank
+    from std_toolkit.checks.measure.ranking import PoseRank
 
 RANKS = "Ranks"
 
@@ -42,7 +42,7 @@ def measure_objects(
 def _rank(
     snapshot: Snapshot, objects: Sequence[ObjectState], frames: Sequence[int], task: Task
 ) -> dict[int, PoseRank]:
-    from std_toolkit.checks.ranking import rank_objects
+    from std_toolkit.checks.measure.ranking import rank_objects
 
     placed = [o for o in snapshot.state.objects if o.placements]
     return rank_objects(
@@ -55,7 +55,7 @@ def _rank(
     )
 
 
-def rank_objects_aside(c: Controller, names: Sequence[str], *, delay: float = 0.0) -> None:
+def rank_objects_aside(c: Controller, names: Sequence[str]) -> None:
     """Rank the poses of objects among nearby poses, in the background."""
     snapshot, frames = c.session.snapshot(), list(dict.fromkeys(c.view_frames))
     objects = [o for n in names if (o := snapshot.object(n)).placements]
@@ -64,7 +64,6 @@ def rank_objects_aside(c: Controller, names: Sequence[str], *, delay: float = 0.
             RANKS,
             lambda task: _rank(snapshot, objects, frames, task),
             lambda ranks: _keep(c, objects, ranks, {}),
-            delay=delay,
         )
 
 
@@ -125,8 +124,8 @@ def _measure_then_mark(c: Controller, name: str) -> None:
 
 
 def can_take_turn(c: Controller) -> bool:
-    """Whether another turn of the selected object fits the print better."""
-    found = c.prints.get(c.selected or "")
+    """Whether another turn of the selected object fits the texture better."""
+    found = c.textures.get(c.selected or "")
     return (
         found is not None
         and found.verdict == "turned"
@@ -137,11 +136,11 @@ def can_take_turn(c: Controller) -> bool:
 
 
 def take_turn(c: Controller) -> None:
-    """Turn the selected object to where its print fits better, as one edit."""
+    """Turn the selected object to where its texture fits better, as one edit."""
     if not can_take_turn(c):
         return
     name, frame = str(c.selected), c.active_frame
-    pose, found = c.session.pose(name, frame), c.prints[name]
+    pose, found = c.session.pose(name, frame), c.textures[name]
     assert pose is not None and found.turn is not None
     turned = pose @ found.turn
     if c.apply(SetPoses.one(name, frame, turned, method="turn", label=f"Turn {name}")):

@@ -1,4 +1,4 @@
-"""Verdict on the pose of an object: residuals in the shown frames, rank, and print."""
+"""Verdict on the pose of an object: residuals in the shown frames, rank, and texture."""
 
 from __future__ import annotations
 
@@ -7,24 +7,34 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from annotator.app.controller import Controller
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
-    from std_toolkit.checks.ranking import PoseRank
-    from std_toolkit.labels.print import PrintComparison
+    from std_toolkit.checks.measure.ranking import PoseRank
+    from std_toolkit.labels.texture.comparison import TextureComparison
 
 Grade = Literal["good", "fair", "poor", "unknown"]
 
-# Contour to image edges, pixels: below the first value the pose is as good as annotation and
-# refinement get; above the second it is visibly wrong.
-EDGE_PX = (1.5, 3.0)
 
-# The same for the depth of a diffuse object, mm: these sensors have errors up to 2 %, which is
-# 14 mm at 0.7 m, so edges are more informative if there are any.
-DEPTH_MM = (15.0, 30.0)
+@dataclass(frozen=True, kw_only=True)
+class VerdictSettings(Settings):
+    """Residuals at which a pose is good, doubtful or bad."""
 
-# An edge distance is informative only if it is clearly below the chance level.
-CHANCE_SHARE = 0.6
+    edge_px: tuple[float, float] = limit(
+        (1.5, 3.0),
+        unit="px",
+        source="as good as annotation and refinement get; visibly wrong",
+    )
+    """contour to image edges: good below the first, bad above the second"""
+    depth_mm: tuple[float, float] = limit(
+        (15.0, 30.0),
+        unit="mm",
+        source="sensors have errors up to 2 %, which is 14 mm at 0.7 m",
+    )
+    """the same for the depth of a diffuse object"""
+    chance_share: float = limit(0.6, source=NOT_RECORDED)
+    """an edge distance is informative below this part of the distance by chance"""
 
 
 @dataclass(frozen=True)
@@ -34,7 +44,7 @@ class Verdict:
     Attributes:
         grade: "good": it fits; "unknown": not measured or not measurable.
         text: reason in sentences.
-        turned: whether another turn fits the print better.
+        turned: whether another turn fits the texture better.
     """
 
     grade: Grade
@@ -51,16 +61,18 @@ def grade_row(row: FrameResidual) -> Grade:
 
 def edge_grade(row: FrameResidual) -> Grade | None:
     """Return the grade of the edge residual; None if not measured or at chance level."""
+    limits = VerdictSettings.current()
     if row.edge_px is None:
         return None
-    if row.edge_chance_px is not None and row.edge_px > CHANCE_SHARE * row.edge_chance_px:
+    if row.edge_chance_px is not None and row.edge_px > limits.chance_share * row.edge_chance_px:
         return None
-    return graded(row.edge_px, EDGE_PX)
+    return graded(row.edge_px, limits.edge_px)
 
 
 def depth_grade(row: FrameResidual) -> Grade | None:
     """Return the grade of the depth residual; None if not measured or not trusted."""
-    return None if row.depth_mm is None else graded(abs(row.depth_mm), DEPTH_MM)
+    limits = VerdictSettings.current()
+    return None if row.depth_mm is None else graded(abs(row.depth_mm), limits.depth_mm)
 
 
 def graded(value: float, limits: tuple[float, float]) -> Grade:
@@ -71,20 +83,20 @@ def object_verdict(c: Controller, name: str) -> Verdict:
     """Return the verdict on an object from what is known of its current pose."""
     if c.session.pose(name, c.active_frame) is None:
         return Verdict("unknown", f"{name} has no pose yet.")
-    print_ = c.prints.get(name)
-    if print_ is not None and print_.verdict == "turned":
-        text = f"Wrong turn: {print_.sentence()}. Press Y to take it."
+    texture = c.textures.get(name)
+    if texture is not None and texture.verdict == "turned":
+        text = f"Wrong turn: {texture.sentence()}. Press Y to take it."
         return Verdict("poor", text, turned=True)
     rows = c.residuals.get(name, ())
     if not rows:
         return Verdict("unknown", f"Not measured since {name} moved.")
-    return measured_verdict(rows, c.ranks.get(name), print_)
+    return measured_verdict(rows, c.ranks.get(name), texture)
 
 
 def measured_verdict(
-    rows: Sequence[FrameResidual], rank: PoseRank | None, print_: PrintComparison | None = None
+    rows: Sequence[FrameResidual], rank: PoseRank | None, texture: TextureComparison | None = None
 ) -> Verdict:
-    """Return the verdict on a pose by its residuals, rank and print; None: not known yet.
+    """Return the verdict on a pose by its residuals, rank and texture; None: not known yet.
 
     It is good only if the pose beats the nearby ones, if a majority of the frames in which the
     contour is visible says so, and if no frame is clearly off.
@@ -122,8 +134,8 @@ def measured_verdict(
     if any(grade_row(r) == "fair" for r in visible):
         return Verdict("fair", f"Close, but not exact. {said}")
     also = ""
-    if print_ is not None and print_.verdict in ("fits", "ambiguous"):
-        also = f" {print_.sentence()[:1].upper()}{print_.sentence()[1:]}."
+    if texture is not None and texture.verdict in ("fits", "ambiguous"):
+        also = f" {texture.sentence()[:1].upper()}{texture.sentence()[1:]}."
     return Verdict("good", f"It fits. {said}{also}")
 
 

@@ -15,7 +15,7 @@ from annotator.compare.annotated_scene import LabelledObject
 from annotator.compare.comparison import Comparison, ObjectAgreement, _row
 from annotator.compare.merge_labels import Merge
 from std_toolkit import __version__
-from std_toolkit.checks.contours import Contour, LabelCaster, trace_contour
+from std_toolkit.checks.measure.contours import Contour, LabelCaster, trace_contour
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io import atomic, documents, images

@@ -27,7 +27,7 @@ from annotator.qt.panel import Panel, label, tool_button
 from annotator.qt.theme import icon, pixmap
 from annotator.session import ChangeObject
 from std_toolkit.html.plots import object_color
-from std_toolkit.labels.label import MATERIALS
+from std_toolkit.labels.entry.label import MATERIALS
 
 _MENU = (
     ("done", "zoom_object"),
@@ -267,8 +267,8 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
 class ObjectList(QtWidgets.QListView):
     """List view; objects can be dragged from it onto an image."""
 
-    def __init__(self, model: ObjectListModel, parent: QtWidgets.QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, model: ObjectListModel) -> None:
+        super().__init__()
         self.setModel(model)
         self.setItemDelegate(ObjectDelegate(self))
         self.setUniformItemSizes(True)

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.contours import LabelCaster, trace_contour
-from std_toolkit.checks.edges import edge_distance, noise_level, read_profiles, smooth_image
-from std_toolkit.checks.sensor_depth import depth_residual
+from std_toolkit.checks.measure.contours import LabelCaster, trace_contour
+from std_toolkit.checks.measure.edges import edge_distance, noise_level, read_profiles, smooth_image
+from std_toolkit.checks.measure.sensor_depth import depth_residual
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene

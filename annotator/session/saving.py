@@ -13,7 +13,7 @@ import msgspec
 from annotator.session.merge import Stored, Version, content
 from annotator.session.state import AnnotationState, ObjectState, Placement, object_table
 from std_toolkit import __version__
-from std_toolkit.labels.label import annotated_label
+from std_toolkit.labels.entry.label import annotated_label
 from std_toolkit.log import collected_warnings
 from std_toolkit.scene import (
     Annotation,

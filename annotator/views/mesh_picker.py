@@ -64,7 +64,7 @@ class MeshPicker:
             ids = [o.id for o in c.session.state.objects]
             # Without a shape the mesh may be unreadable.
             up = 2 if shape is None else standing_axis(c.session, model)
-            # A print helps to find a point, also while the views show lines only.
+            # A texture helps to find a point, also while the views show lines only.
             style = Style.SOLID if c.options.style is Style.SOLID else Style.TEXTURED
             self.view.show(shape, object_color(ids, obj.id), up=up, style=style)
             clicks = obj.clicks.get(c.active_frame, [])

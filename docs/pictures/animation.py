@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sensors.output.recording_writer import Truth
-from sensors.synthetic.recording import printed_meshes
+from sensors.synthetic.recording import textured_meshes
 
 if TYPE_CHECKING:
     from window_hands import Hands
@@ -78,7 +78,7 @@ def label(work: Path, truth: Truth) -> None:
     hand = at_scene(work / "scene")
     mesh = work / "recording" / "printed" / f"{NAME}.glb"
     mesh.parent.mkdir(exist_ok=True)
-    printed_meshes(OPTIONS)[NAME].export(mesh)
+    textured_meshes(OPTIONS)[NAME].export(mesh)
     hand.drop_files([mesh])
     c = hand.controller
     hand.wait(lambda: len(c.session.state.models) == 1 and c.table is not None)
@@ -103,7 +103,7 @@ def label(work: Path, truth: Truth) -> None:
         hand.press(key, Qt.KeyboardModifier.ShiftModifier)
         film.take()
     film.take(LONG_MS)
-    film.step = "4  Refine: edges, print and sensor depth of eight frames."
+    film.step = "4  Refine: edges, texture and sensor depth of eight frames."
     hand.press(Qt.Key.Key_R)
     hand.wait(lambda: NAME in c.residuals)
     hand.settle()

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from sensors.output.recording_writer import Truth, read_truth
 from sensors.synthetic import RecordingOptions, make_recording
-from sensors.synthetic.recording import printed_meshes
+from sensors.synthetic.recording import textured_meshes
 from std_toolkit.cli.main import main as curate
 from std_toolkit.geometry import SE3
 from std_toolkit.io.images import write_color
@@ -76,14 +76,14 @@ def label(work: Path, truth: Truth) -> None:
 
 def place(hand: Hands, recording: Path, truth: Truth) -> None:
     """The meshes, all at once, and each onto its image."""
-    printed = printed_meshes(OPTIONS)
+    textured = textured_meshes(OPTIONS)
     files = []
     for item in truth.objects:
         path = recording / item.mesh
         if item.name not in MATERIALS:
             path = recording / "printed" / f"{item.name}.glb"
             path.parent.mkdir(exist_ok=True)
-            printed[item.name].export(path)
+            textured[item.name].export(path)
         files.append(path)
     hand.drop_files(files)
     c = hand.controller

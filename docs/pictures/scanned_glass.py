@@ -16,8 +16,8 @@ from sensors.simulation.turntable import read_turntable_truth
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.images import read_color, write_color
 from std_toolkit.poses.board_scale import Board
-from std_toolkit.scanning.glass_outlines import find_vessel
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.photos.views import View
+from std_toolkit.scanning.vessel.glass_outlines import find_vessel
 
 SHOWN, MARGIN = 3, 50
 

@@ -21,7 +21,7 @@ OBJECT_ID = 1
 # in one place would flicker.
 GAP_M = 1e-4
 
-# One object fills the photo: print on it is as fine as the photo's pixels.
+# One object fills the photo: texture on it is as fine as the photo's pixels.
 _LARGEST_TEXTURE = 4096
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from sensors.synthetic.shapes import Shape, printed_texture, sample, wrap
+from sensors.synthetic.shapes import Shape, label_texture, sample, wrap
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 
@@ -46,7 +46,7 @@ class World:
         seed: of all textures.
 
     Attributes:
-        prints: textures of the objects, wrapped around them as `printed_mesh` does.
+        textures: textures of the objects, wrapped around them as `textured_mesh` does.
     """
 
     def __init__(self, shapes: list[Shape], poses: list[SE3], *, seed: int) -> None:
@@ -66,7 +66,7 @@ class World:
             if not self._is_glass(i):
                 self._opaque.add(mesh.vertices, mesh.faces)
                 self._opaque_entities.append(i)
-        self._table = printed_texture(
+        self._table = label_texture(
             rng,
             width=2048,
             height=2048,
@@ -75,7 +75,7 @@ class World:
             contrast=0.4,
             mark_size=(0.004, 0.016),
         )
-        self._floor = printed_texture(
+        self._floor = label_texture(
             rng,
             width=1024,
             height=1024,
@@ -84,8 +84,8 @@ class World:
             contrast=0.3,
             mark_size=(0.004, 0.02),
         )
-        self.prints = [
-            printed_texture(rng, width=768, height=512, base=base, marks=200, contrast=0.8)
+        self.textures = [
+            label_texture(rng, width=768, height=512, base=base, marks=200, contrast=0.8)
             for base in _paints(len(shapes))
         ]
 
@@ -161,7 +161,7 @@ class World:
             to_object = self.poses[i - 2].inverse()
             local, normal = to_object @ p, hits.normals[rows[mine]] @ to_object.R.T
             u, v = wrap(local, normal, self.shapes[i - 2].mesh.extents)
-            out[mine] = sample(self.prints[i - 2], u, v)
+            out[mine] = sample(self.textures[i - 2], u, v)
         return out
 
     def _light(self, hits: Hits, rows: NDArray[np.int64]) -> Array:

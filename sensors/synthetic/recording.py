@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sensors.output.recording_writer import TrueObject, Truth
 from sensors.synthetic.camera_frames import render_frame, sensor_depth
 from sensors.synthetic.raycast_world import World
-from sensors.synthetic.shapes import Shape, default_shapes, printed_mesh
+from sensors.synthetic.shapes import Shape, default_shapes, textured_mesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.io import atomic, documents, images
@@ -94,15 +94,15 @@ def make_recording(
     return truth
 
 
-def printed_meshes(options: RecordingOptions) -> dict[str, trimesh.Trimesh]:
-    """Meshes of the opaque objects of a recording with their prints, by name, as scans have them.
+def textured_meshes(options: RecordingOptions) -> dict[str, trimesh.Trimesh]:
+    """Meshes of the opaque objects of a recording with their textures, by name, as scans have them.
 
-    The meshes that `make_recording` writes have no print. Mirrors and glass show none.
+    The meshes that `make_recording` writes have no texture. Mirrors and glass show none.
     """
     world = _world(options)
     return {
-        shape.name: printed_mesh(shape.mesh, texture)
-        for shape, texture in zip(world.shapes, world.prints, strict=True)
+        shape.name: textured_mesh(shape.mesh, texture)
+        for shape, texture in zip(world.shapes, world.textures, strict=True)
         if shape.material in model.DIFFUSE_MATERIALS
     }
 

@@ -44,7 +44,7 @@ class Shape:
 
 
 def box(width: float, height: float, depth: float) -> trimesh.Trimesh:
-    """A carton, finely divided so that vertex colours can carry its print."""
+    """A carton, finely divided so that vertex colours can carry its texture."""
     mesh = trimesh.creation.box((width, height, depth))
     for _ in range(5):
         mesh = mesh.subdivide()
@@ -167,7 +167,7 @@ def _tube(path: NDArray[np.float64], radius: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(rings.reshape(-1, 3), faces, process=False)
 
 
-def printed_texture(
+def label_texture(
     rng: np.random.Generator,
     *,
     width: int,
@@ -182,7 +182,7 @@ def printed_texture(
     Args:
         base: background colour.
         marks: number of shapes and words.
-        contrast: 1 prints in any colour, 0 in the background's.
+        contrast: 1 textures in any colour, 0 in the background's.
         mark_size: extent of the marks as a fraction of the shorter side.
     """
     image = np.empty((height, width, 3), np.uint8)
@@ -190,7 +190,7 @@ def printed_texture(
     size = min(width, height)
     for _ in range(marks):
         ink = rng.uniform(0.05, 0.95, 3)
-        # Most prints are near grey; with saturated colours everywhere no object would stand out.
+        # Most textures are near grey; with saturated colours everywhere no object would stand out.
         ink = ink.mean() + 0.45 * (ink - ink.mean())
         colour = tuple(int(255 * x) for x in np.asarray(base) + contrast * (ink - base))
         x, y = int(rng.uniform(0, width)), int(rng.uniform(0, height))
@@ -220,8 +220,8 @@ def printed_texture(
         )
         for step in (2, 5, 14, 60)
     )
-    printed = image.astype(np.float32) / 255 + np.asarray(grain, dtype=np.float32)[..., None]
-    return np.clip(printed, 0.02, 0.98)
+    textured = image.astype(np.float32) / 255 + np.asarray(grain, dtype=np.float32)[..., None]
+    return np.clip(textured, 0.02, 0.98)
 
 
 def sample(texture: Image, u: NDArray[np.floating], v: NDArray[np.floating]) -> Image:
@@ -243,7 +243,7 @@ def sample(texture: Image, u: NDArray[np.floating], v: NDArray[np.floating]) -> 
 def wrap(
     points: NDArray[np.floating], normals: NDArray[np.floating], extents: NDArray[np.floating]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Texture coordinates of surface points (N, 3) of a centred object: one print per side.
+    """Texture coordinates of surface points (N, 3) of a centred object: one texture per side.
 
     Each of the six main directions of normals gets its own tile of the texture.
     """
@@ -256,12 +256,12 @@ def wrap(
     return (a + side % 3) / 3, (1 - b + side // 3) / 2
 
 
-def printed_mesh(mesh: trimesh.Trimesh, texture: Image) -> trimesh.Trimesh:
-    """The mesh with a print wrapped around it, as a scan of the object would have it.
+def textured_mesh(mesh: trimesh.Trimesh, texture: Image) -> trimesh.Trimesh:
+    """The mesh with a texture wrapped around it, as a scan of the object would have it.
 
     Args:
         mesh: centred, vertices in metres.
-        texture: (h, w, 3) linear RGB, as of `printed_texture`.
+        texture: (h, w, 3) linear RGB, as of `label_texture`.
     """
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     normals = np.repeat(mesh.face_normals, 3, axis=0)

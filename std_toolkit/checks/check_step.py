@@ -12,31 +12,24 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks import (
-    aggregate,
-    coverage,
-    figures,
-    object_sizes,
-    overlay,
-    prints,
-    residuals,
-    result,
-)
-from std_toolkit.checks.array_file import ArrayFile
-from std_toolkit.checks.coverage import spread
-from std_toolkit.checks.inject import inject_faults
-from std_toolkit.checks.judge import judge_scene
-from std_toolkit.checks.report import PageParts, render_page
-from std_toolkit.checks.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
-from std_toolkit.errors import ToolkitError
+from std_toolkit.checks import result
+from std_toolkit.checks.gates.judge import judge_scene
+from std_toolkit.checks.inject.inject import inject_faults
+from std_toolkit.checks.measure import aggregate, coverage, object_sizes, residuals
+from std_toolkit.checks.measure.array_file import ArrayFile
+from std_toolkit.checks.measure.coverage import spread
+from std_toolkit.checks.measure.textures import compare_textures
+from std_toolkit.checks.page import figures, overlay
+from std_toolkit.checks.page.report import PageParts, render_page
+from std_toolkit.checks.page.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
-from std_toolkit.io.documents import document_bytes, read_document
+from std_toolkit.io.documents import digest_files, document_bytes, read_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.log import logger
+from std_toolkit.jobs.artefact import Artefact, Record, read_record, record_path
 from std_toolkit.options import CheckOptions
 from std_toolkit.rendering.ground_truth import info_path, map_paths
-from std_toolkit.scene import Frame, Scene, document
-from std_toolkit.scene.check_flags import scene_fingerprint
+from std_toolkit.scene import Frame, Scene
+from std_toolkit.scene.check_flags import SCENE_INPUT, scene_fingerprint
 
 STEP = "check"
 FOLDER = "check"
@@ -69,11 +62,9 @@ def run_check(
         sweep_temporaries(scene.root)
         frames = spread(scene.registered_frames(), options.max_frames)
         fingerprint = scene_fingerprint(scene)
-        digest = document.digest_of(
-            fingerprint, asdict(options), version("plotly"), _file_digests(scene, frames)
-        )
-        if document.is_fresh(scene.root, STEP, digest):
-            logger.info("check: nothing changed, the report is up to date")
+        inputs = {SCENE_INPUT: fingerprint, "version of plotly": version("plotly")}
+        artefact = Artefact(scene.root, STEP, inputs | _files(scene, frames), asdict(options))
+        if artefact.is_kept():
             return read_document(scene.root / FOLDER / "report.json", result.CheckReport)
         with ArrayFile(scene.root / ".std") as arrays:
             report, page = _check(scene, frames, fingerprint, options, jobs, arrays)
@@ -85,13 +76,7 @@ def run_check(
         }
         for name, data in outputs.items():
             write_bytes_atomic(scene.root / FOLDER / name, data)
-        document.write_record(
-            scene.root,
-            STEP,
-            digest,
-            outputs=[scene.root / FOLDER / name for name in outputs],
-            parameters=asdict(options) | {"scene": fingerprint},
-        )
+        artefact.write([scene.root / FOLDER / name for name in outputs])
     return report
 
 
@@ -100,11 +85,8 @@ def report_is_current(scene: Scene) -> bool:
 
     Reads no image. A report whose record was deleted counts as current.
     """
-    try:
-        record = read_document(document.record_path(scene.root, STEP), document.Record)
-    except ToolkitError:
-        return True
-    return record.parameters.get("scene", "") in ("", scene_fingerprint(scene))
+    record = read_record(record_path(scene.root, STEP), Record)
+    return record is None or record.inputs.get(SCENE_INPUT) == scene_fingerprint(scene)
 
 
 def report_path(root: Path) -> Path:
@@ -134,7 +116,7 @@ def _check(
 
     sparse, fused = sparse_cloud(scene), fused_cloud(scene, readable)
     up = _up(scene, sparse or fused)
-    compared = prints.compare_prints(scene, readable)
+    compared = compare_textures(scene, readable)
     sizes = object_sizes.measure_sizes(scene)
     report = judge_scene(scene, observed, problems, options, up=up, compared=compared, sizes=sizes)
     if sparse is None and report.summary.registered:
@@ -220,7 +202,8 @@ def _up(scene: Scene, cloud: Cloud | None) -> NDArray[np.float64]:
     return coverage.scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
 
 
-def _file_digests(scene: Scene, frames: list[Frame]) -> dict[str, Any]:
+def _files(scene: Scene, frames: list[Frame]) -> dict[str, str]:
+    """Digests of the files of the frames by path."""
     files = [scene.root / "poses" / "points.ply"]
     for frame in frames:
         files.append(scene.color_path(frame))
@@ -229,8 +212,4 @@ def _file_digests(scene: Scene, frames: list[Frame]) -> dict[str, Any]:
         if info_path(scene.root, frame.id).is_file():
             maps = map_paths(scene.root, frame.id)
             files += [info_path(scene.root, frame.id), maps["mask"], maps["depth"]]
-    return {p.relative_to(scene.root).as_posix(): _digest_or_none(p) for p in files}
-
-
-def _digest_or_none(path: Path) -> str | None:
-    return document.digest_file(path) if path.is_file() else None
+    return digest_files(scene.root, files)

@@ -153,13 +153,13 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
         azimuth_span_deg, elevation_deg, parallax_deg, largest_step_deg: view directions.
         completeness: fraction of the ground-truth pixels with sensor depth.
         raw_median_mm, raw_mae_mm, raw_rmse_mm: raw minus ground-truth depth.
-        print_verdict: the print against turns of the label: "fits", "turned" (a turn fits
-            better), "undecided", "ambiguous" (no print, and a turn has the same silhouette), or
+        texture_verdict: the texture against turns of the label: "fits", "turned" (a turn fits
+            better), "undecided", "ambiguous" (no texture, and a turn has the same silhouette), or
             "" if it was not compared.
-        print_score, print_rival_score: agreement of the print at the label and at the best turn,
-            -1..1.
-        print_frames: number of frames that were compared.
-        print_text: that turn, such as "turned by 180 deg about z".
+        texture_score, texture_rival_score: agreement of the texture at the label and at the best
+            turn, -1..1.
+        texture_frames: number of frames that were compared.
+        texture_text: that turn, such as "turned by 180 deg about z".
         verdict: "good", "doubtful", "bad" or "open" (no evidence).
         frames: values of single frames.
     """
@@ -210,11 +210,11 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
     raw_median_mm: Number = None
     raw_mae_mm: Number = None
     raw_rmse_mm: Number = None
-    print_verdict: Literal["", "fits", "turned", "undecided", "ambiguous"] = ""
-    print_score: Number = None
-    print_rival_score: Number = None
-    print_frames: Count = 0
-    print_text: str = ""
+    texture_verdict: Literal["", "fits", "turned", "undecided", "ambiguous"] = ""
+    texture_score: Number = None
+    texture_rival_score: Number = None
+    texture_frames: Count = 0
+    texture_text: str = ""
     verdict: Literal["good", "doubtful", "bad", "open"] = "open"
     frames: list[ObjectFrameCheck] = msgspec.field(default_factory=list)
 

@@ -29,7 +29,7 @@ class LabelArguments(options.LabelCommand):
 def label(command: LabelArguments) -> int:
     """Add an object and set its poses."""
     from std_toolkit.io.atomic import sweep_temporaries
-    from std_toolkit.labels.label_command import run_label_command
+    from std_toolkit.labels.entry.label_command import run_label_command
     from std_toolkit.scene.scene import Scene
 
     files = len(command.poses) + len(command.correspondences)
@@ -150,7 +150,7 @@ def check(command: CheckCommand) -> int:
         if warning.severity != "low" and not warning.gate:
             print(f"warning: {warning.about}: {warning.problem}; {warning.advice}")
     if report.detectability is not None:
-        from std_toolkit.checks.inject_report import detectability_table
+        from std_toolkit.checks.page.inject_report import detectability_table
 
         print(detectability_table(report.detectability).terminal(notes=False))
     print(report.verdict)

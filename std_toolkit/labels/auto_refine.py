@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels import refine_inputs
-from std_toolkit.labels.print import PrintComparison, judge_print
 from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.depth import icp
 from std_toolkit.labels.refine.edges.approach import search_turns
@@ -29,18 +28,29 @@ from std_toolkit.labels.refine.problem import (
     RefineOptions,
     sub_progress,
 )
+from std_toolkit.labels.texture.comparison import TextureComparison, compare_texture
 from std_toolkit.scene.scene import Scene
+from std_toolkit.settings import Settings, limit
 
 Method = Literal["auto", "depth", "multiview"]
 
-# With fewer views, the sensor depth factor cannot be separated from the distance.
-_VIEWS_AROUND = 3
 # Search radius around the contour for edges, pixels: after alignment by depth, or by hand.
 _NEAR_PX, _FAR_PX = 24.0, 48.0
-# Fraction of the time after which only prints are compared.
+# Fraction of the time after which only textures are compared.
 _COMPARED = 0.92
 # Time for an object without depth, in units of one with depth.
 _SEARCHED = 2.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoRefineSettings(Settings):
+    """Which measurements refine an object."""
+
+    views_around: int = limit(
+        3,
+        source="with fewer, the sensor depth factor cannot be separated from the distance",
+    )
+    """views from which edges and depth are used together"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +72,7 @@ class RefinedPose:
         views: number of views used.
         frames: their ids.
         warnings: sentences on what to inspect.
-        print: the print at the pose against near-symmetric alternatives; None if not compared.
+        texture: the texture at the pose against near-symmetric alternatives; None if not compared.
     """
 
     object: int
@@ -77,7 +87,7 @@ class RefinedPose:
     views: int
     frames: tuple[int, ...]
     warnings: tuple[str, ...]
-    print: PrintComparison | None = None
+    texture: TextureComparison | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +177,7 @@ class _Run:
 
     def go(self, chosen: Sequence[int]) -> None:
         by_depth = [i for i in chosen if self._uses_depth(i)]
-        around = len(self._problem.views) >= _VIEWS_AROUND
+        around = len(self._problem.views) >= AutoRefineSettings.current().views_around
         left = [i for i in chosen if i not in by_depth]
         # Depth takes about as long as the edges, and a search much longer.
         each = 1.0 if not around else 0.5
@@ -185,7 +195,7 @@ class _Run:
         left += [i for i in self._fits if i not in self.found]
         if left:
             self._fit_edges(left, sub_progress(self._report, share, _COMPARED))
-        self._compare_prints()
+        self._compare_textures()
         self._report(1.0)
 
     def _uses_depth(self, i: int) -> bool:
@@ -254,7 +264,7 @@ class _Run:
                 self._problem.views,
                 prepared,
                 options,
-                print_views=self._problem.print_views,
+                texture_views=self._problem.texture_views,
                 layers=self._layers,
                 progress=progress,
             )
@@ -281,19 +291,19 @@ class _Run:
         else:
             self.failures[i] = error
 
-    def _compare_prints(self) -> None:
-        """Judge the print at each refined pose."""
+    def _compare_textures(self) -> None:
+        """Judge the texture at each refined pose."""
         poses = {i: found.pose for i, found in self.found.items()}
         objects = self._problem.placed(poses)
-        views = [*self._problem.views, *self._problem.print_views]
+        views = [*self._problem.views, *self._problem.texture_views]
         for done, (i, found) in enumerate(self.found.items()):
             self._report(_COMPARED + (1 - _COMPARED) * done / len(self.found))
             others = [o for k, o in objects.items() if k != i]
-            judged = judge_print(views, objects[i], others)
+            judged = compare_texture(views, objects[i], others)
             warnings = found.warnings
             if judged.verdict == "turned":
                 warnings += (judged.sentence(),)
-            self.found[i] = replace(found, print=judged, warnings=warnings)
+            self.found[i] = replace(found, texture=judged, warnings=warnings)
 
     def _placed(self) -> dict[int, RefineObject]:
         return self._problem.placed({i: f.T_world_obj for i, f in self._fits.items()})
@@ -339,7 +349,7 @@ class _Run:
             explained,
             found.views,
             settled=found.converged,
-            print_note=found.print_sentence(obj.centre),
+            texture_note=found.texture_sentence(obj.centre),
         )
 
     def _refined(
@@ -355,13 +365,13 @@ class _Run:
         views: int,
         *,
         settled: bool = True,
-        print_note: str = "",
+        texture_note: str = "",
     ) -> RefinedPose:
         seen = replace(self._problem.objects[i], T_world_obj=pose)
         warnings = [
             *self._notes.get(i, []),
             *([] if settled else [refine_inputs.NOT_CONVERGED]),
-            *([print_note] if print_note else []),
+            *([texture_note] if texture_note else []),
             *refine_inputs.quality_warnings(
                 self._problem, seen, covariance, edge_rms_px, depth_m, explained
             ),

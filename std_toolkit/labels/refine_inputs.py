@@ -15,12 +15,13 @@ from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
 from std_toolkit.labels.refine_step import (
     choose_keyframes,
-    load_print_views,
+    load_texture_views,
     load_views,
-    print_surface,
     scene_object,
+    texture_surface,
 )
 from std_toolkit.scene.scene import Scene, require_metres
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     import trimesh
@@ -34,10 +35,18 @@ NOT_CONVERGED = (
 )
 
 
-# Edges scatter by one or two pixels around a correct contour.
-_LOOSE_PX = 4.0
+@dataclass(frozen=True, kw_only=True)
+class RefineReportSettings(Settings):
+    """Fits that are reported as doubtful."""
 
-_LITTLE_EXPLAINED = 0.5
+    loose_px: float = limit(
+        4.0,
+        unit="px",
+        source="edges scatter by one or two pixels around a correct contour",
+    )
+    """a larger distance of the edges is reported"""
+    little_explained: float = limit(0.5, source=NOT_RECORDED)
+    """a smaller fraction of explained readings is reported"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +57,13 @@ class AutoProblem:
         views: images; a single view has the identity as camera pose if the scene has none.
         objects: objects by id, at their start poses; chosen ones with the colours of their meshes.
         posed: whether the coordinate frame is the world; otherwise the camera of the only view.
-        print_views: more images, for the prints of the chosen objects.
+        texture_views: more images, for the textures of the chosen objects.
     """
 
     views: list[RefineView]
     objects: dict[int, RefineObject]
     posed: bool
-    print_views: list[RefineView] = field(default_factory=list)
+    texture_views: list[RefineView] = field(default_factory=list)
 
     @property
     def has_depth(self) -> bool:
@@ -97,8 +106,8 @@ def auto_problem(
     }
     more: list[RefineView] = []
     if posed and frames is None:
-        printed = {i: poses[i] for i in chosen if objects[i].print is not None}
-        more = load_print_views(scene, printed, [v.frame for v in views])
+        textured = {i: poses[i] for i in chosen if objects[i].texture is not None}
+        more = load_texture_views(scene, textured, [v.frame for v in views])
     return AutoProblem(views, objects, posed, more)
 
 
@@ -170,7 +179,7 @@ def _object(
     if not colors:
         return obj
     return replace(
-        obj, colors=SurfaceColors.from_mesh(mesh), print=print_surface(scene, object_id, mesh)
+        obj, colors=SurfaceColors.from_mesh(mesh), texture=texture_surface(scene, object_id, mesh)
     )
 
 
@@ -201,6 +210,7 @@ def quality_warnings(
         obj: the object at its refined pose.
         covariance: (6, 6) of a right perturbation.
     """
+    limits = RefineReportSettings.current()
     found = []
     if len(problem.views) == 1 and depth_m is None:
         along = _std_along_ray(problem, obj, covariance)
@@ -208,12 +218,12 @@ def quality_warnings(
             f"one view without depth: the distance to the camera is weak (about "
             f"{1000 * along:.0f} mm); check it in another frame or on the table"
         )
-    if edge_rms_px is not None and edge_rms_px > _LOOSE_PX:
+    if edge_rms_px is not None and edge_rms_px > limits.loose_px:
         found.append(
             f"the edges scatter by {edge_rms_px:.1f} px around the contour; are the mesh and "
             "the initial pose right?"
         )
-    if explained is not None and explained < _LITTLE_EXPLAINED:
+    if explained is not None and explained < limits.little_explained:
         found.append(
             f"only {100 * explained:.0f} % of the sensor depth on it agrees with the mesh; is it "
             "opaque, and the mesh the right one?"

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.print import judge_print
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refined_scale import MeasuredScale
+from std_toolkit.labels.texture.comparison import compare_texture
 from std_toolkit.log import logger
 from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.scene.model import Frame, Label, annotated_views, pose_from_list
@@ -28,8 +28,8 @@ from std_toolkit.scene.scene import Scene
 if TYPE_CHECKING:
     import trimesh
 
-# Frames in which the print of an object is matched.
-_PRINT_VIEWS = 32
+# Frames in which the texture of an object is matched.
+_TEXTURE_VIEWS = 32
 
 # Number of frames around a viewpoint from which the sharpest is used.
 _CANDIDATES = 3
@@ -106,25 +106,25 @@ def refine_labels(
             scene_object(scene, i, start[i], fixed=i not in placed),
             # Objects refined in the annotator are aligned; manual poses may be far off.
             rough=everything[i].method != "refine",
-            print=None
+            texture=None
             if i not in placed
-            else print_surface(scene, i, scene.mesh(scene.objects.object(i).model)),
+            else texture_surface(scene, i, scene.mesh(scene.objects.object(i).model)),
         )
         for i in sorted(everything)
     ]
-    printed = {i: start[i] for i, o in zip(sorted(everything), objects, strict=True) if o.print}
-    print_views = load_print_views(scene, printed, [v.frame for v in views])
+    textured = {i: start[i] for i, o in zip(sorted(everything), objects, strict=True) if o.texture}
+    texture_views = load_texture_views(scene, textured, [v.frame for v in views])
     result = refine_poses(
         views,
         objects,
         problem.RefineOptions(use_depth=use_depth, refine_scale=refine_scale),
-        print_views=print_views,
+        texture_views=texture_views,
     )
     _report(result)
     by_id = dict(zip(sorted(everything), objects, strict=True))
     at_scale = [
         replace(v, T_world_cam=SE3(v.T_world_cam.R, v.T_world_cam.t * result.scale))
-        for v in [*views, *print_views]
+        for v in [*views, *texture_views]
     ]
     refined = dict(labels)
     coupling = {}
@@ -136,16 +136,16 @@ def refine_labels(
             continue
         if not found.converged:
             logger.warning("%s: the refinement did not converge; check its label", found.name)
-        if found.print_beside is not None:
-            logger.warning("%s: %s", found.name, found.print_sentence(by_id[i].centre))
+        if found.texture_offset is not None:
+            logger.warning("%s: %s", found.name, found.texture_sentence(by_id[i].centre))
         at_end = replace(by_id[i], T_world_obj=found.T_world_obj)
         around = [
             replace(o, T_world_obj=x.T_world_obj)
             for (k, o), x in zip(by_id.items(), result.objects, strict=True)
             if k != i
         ]
-        # Without a print no turn can fit it better.
-        judged = judge_print(at_scale, at_end, around) if at_end.print is not None else None
+        # Without a texture no turn can fit it better.
+        judged = compare_texture(at_scale, at_end, around) if at_end.texture is not None else None
         if judged is not None and judged.verdict == "turned":
             logger.warning("%s: %s; turn it and refine again", found.name, judged.sentence())
         refined[i] = msgspec.structs.replace(
@@ -192,7 +192,7 @@ def load_views(
     return views
 
 
-def print_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> TexturedSurface | None:
+def texture_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> TexturedSurface | None:
     """The mesh of an object with its colours; None if it has none or the object is clear."""
     # A clear object shows what is behind it, whatever its mesh is painted with.
     if scene.objects.object(object_id).material == "transparent":
@@ -200,13 +200,13 @@ def print_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> Textur
     return TexturedSurface.from_mesh(mesh)
 
 
-def load_print_views(
+def load_texture_views(
     scene: Scene, objects: Mapping[int, SE3], loaded: Sequence[int]
 ) -> list[problem.RefineView]:
-    """More frames in which the prints of objects are matched, without depth.
+    """More frames in which the textures of objects are matched, without depth.
 
     Args:
-        objects: T_world_obj of the objects with a print, by id.
+        objects: T_world_obj of the objects with a texture, by id.
         loaded: ids of the frames that are loaded anyway.
     """
     frames = [f for f in scene.registered_frames() if f.id not in set(loaded)]
@@ -216,15 +216,15 @@ def load_print_views(
     for i, T in objects.items():
         low, high = mesh_bounds(scene.mesh(scene.objects.object(i).model))
         radius = float(np.linalg.norm(high - low)) / 2
-        count = max(_PRINT_VIEWS - len(loaded), 0)
+        count = max(_TEXTURE_VIEWS - len(loaded), 0)
         chosen |= set(
             problem.large_views(cameras, poses, T @ ((low + high) / 2), radius, count=count)
         )
     # Each object has its own best views; together they stay affordable.
     kept = sorted(chosen)
-    if len(kept) > 2 * _PRINT_VIEWS:
+    if len(kept) > 2 * _TEXTURE_VIEWS:
         kept = [
-            kept[k] for k in np.linspace(0, len(kept) - 1, 2 * _PRINT_VIEWS).round().astype(int)
+            kept[k] for k in np.linspace(0, len(kept) - 1, 2 * _TEXTURE_VIEWS).round().astype(int)
         ]
     return load_views(scene, [frames[k] for k in kept], use_depth=False)
 

@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 # Of nine frames over 120 degrees: at both ends and in the middle.
 THREE = (0, 4, 8)
-# How the objects of each recording are placed: other places, prints, and paths of the camera.
+# How the objects of each recording are placed: other places, textures, and paths of the camera.
 STARTS: dict[int, tuple[Start, ...]] = {1: ("clicks", "hand"), 2: ("hand",)}
 
 

@@ -1,7 +1,7 @@
 """The mustard bottle of a real recording, labelled from its first frame with `std-annotate`.
 
 In that frame the bottle is 110 pixels high, its foot is hidden by a cap that nobody labels, and its
-print is not the mesh's: a person drags the mesh onto it by eye and presses refine.
+texture is not the mesh's: a person drags the mesh onto it by eye and presses refine.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import pytest
 from annotator.app.verdicts import measured_verdict
 from annotator.cli import main
 from annotator.session.residuals import measure_residuals
-from std_toolkit.checks.ranking import rank_objects
-from std_toolkit.checks.residuals import ObjectObservation, observe_frame
+from std_toolkit.checks.measure.ranking import rank_objects
+from std_toolkit.checks.measure.residuals import ObjectObservation, observe_frame
 from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3, so3_exp

@@ -17,13 +17,13 @@ from annotator.session.state import Snapshot
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.io.atomic import scene_lock
-from std_toolkit.labels.label import copy_model
+from std_toolkit.labels.entry.label import copy_model
 from std_toolkit.scene import ObjectTable, Scene
 from std_toolkit.scene.document import Document, safe_name
 from std_toolkit.scene.model import SymmetryModel
 
 if TYPE_CHECKING:
-    from std_toolkit.labels.print import PrintComparison
+    from std_toolkit.labels.texture.comparison import TextureComparison
 
 Progress = Callable[[float], None]
 
@@ -44,14 +44,14 @@ class Outcome:
         report: lines of text on the result.
         warnings: sentences on what to inspect.
         weak_directions: sentence by object name on the least determined direction of its pose.
-        prints: comparison by object name of its print with near-symmetric turns.
+        textures: comparison by object name of its texture with near-symmetric turns.
     """
 
     edit: AnyEdit
     report: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     weak_directions: dict[str, str] = field(default_factory=dict)
-    prints: dict[str, PrintComparison] = field(default_factory=dict)
+    textures: dict[str, TextureComparison] = field(default_factory=dict)
 
 
 class RequestCancelled(ToolkitError):
@@ -136,7 +136,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
     def import_as(self, name: str, snapshot: Snapshot) -> Outcome:
         """As `resolve`, with another default for the id than the file's name."""
         from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
-        from std_toolkit.labels.symmetry_argument import (
+        from std_toolkit.labels.entry.symmetry_argument import (
             parse_symmetry,
             read_symmetry_file,
             symmetry_proposal,

@@ -12,7 +12,7 @@ from annotator.session.requests.mesh_requests import Outcome, Request, RequestCa
 from annotator.session.state import Snapshot
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_angle
-from std_toolkit.labels.pnp import solve_pnp
+from std_toolkit.labels.entry.pnp import solve_pnp
 from std_toolkit.scene.document import Count, Positive
 
 if TYPE_CHECKING:
@@ -89,13 +89,15 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             report.append(_line(snapshot, refined, poses[refined.object]))
             warnings += [f"{refined.name}: {text}" for text in refined.warnings]
         weak = {r.name: r.weak_direction for r in found.objects.values() if r.weak_direction}
-        prints = {r.name: r.print for r in found.objects.values() if r.print is not None}
+        textures = {r.name: r.texture for r in found.objects.values() if r.texture is not None}
         warnings += [
             f"{name}: {found.sentence()}; press Y to take that turn"
-            for name, found in prints.items()
+            for name, found in textures.items()
             if found.verdict == "turned"
         ]
-        return Outcome(SetPoses(changes=changes, label=self.title), report, warnings, weak, prints)
+        return Outcome(
+            SetPoses(changes=changes, label=self.title), report, warnings, weak, textures
+        )
 
     def _lone_frame(self, snapshot: Snapshot) -> int | None:
         """Return the only frame to use if poses hold in one frame only, otherwise None."""

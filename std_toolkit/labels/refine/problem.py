@@ -17,12 +17,21 @@ from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
 from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Called with the completed fraction, 0 to 1, never decreasing. To cancel the computation, raise an
 # exception.
 Progress = Callable[[float], None]
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectionSettings(Settings):
+    """How a weak direction is named."""
+
+    same_deg: float = limit(25.0, unit="deg", source=NOT_RECORDED)
+    """a direction within this angle of another is named by it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +108,7 @@ class RefineObject:
         rough: search poses around the start before edge refinement, if there are two views or
             more; see `RefineOptions.rough_m`.
         colors: colours of its surface, if the mesh has a texture that distinguishes its sides.
-        print: the mesh with its colours at full resolution, if it has any.
+        texture: the mesh with its colours at full resolution, if it has any.
     """
 
     name: str
@@ -111,7 +120,7 @@ class RefineObject:
     fixed: bool = False
     rough: bool = False
     colors: SurfaceColors | None = None
-    print: TexturedSurface | None = None
+    texture: TexturedSurface | None = None
 
     @property
     def trusts_depth(self) -> bool:
@@ -152,7 +161,7 @@ class RefineOptions:
             counts as.
         rough_m, rough_turn: largest error of the start of a rough object: its centre, metres,
             and its rotation, radians.
-        use_prints: match the textures of meshes with the images.
+        use_textures: match the textures of meshes with the images.
         restarts: number of other starts near the result from which the last level is repeated, for
             the spread in the covariance.
     """
@@ -169,7 +178,7 @@ class RefineOptions:
     depth_samples: float = 1.5
     rough_m: float = 0.035
     rough_turn: float = float(np.deg2rad(18))
-    use_prints: bool = True
+    use_textures: bool = True
     restarts: int = 1
 
 
@@ -190,8 +199,8 @@ class RefinedObject:
         converged: the last step was small and enough edges agree with the contour.
         scale_coupling: (6,) change of the pose (right perturbation) that fits best per unit of
             change of the log scale of the camera positions; zeros if it was not refined.
-        print_beside: where the print lies relative to its place on the mesh, T_obj_print, if it
-            contradicts the contour and was not followed.
+        texture_offset: where the texture is relative to its place on the mesh, T_obj_texture, if
+            it contradicts the contour and was not followed.
     """
 
     name: str
@@ -203,21 +212,21 @@ class RefinedObject:
     views: int
     converged: bool
     scale_coupling: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
-    print_beside: SE3 | None = None
+    texture_offset: SE3 | None = None
 
-    def print_sentence(self, centre: NDArray[np.floating]) -> str:
-        """One sentence on a print that was not followed; "" if there is none.
+    def texture_sentence(self, centre: NDArray[np.floating]) -> str:
+        """One sentence on a texture that was not followed; "" if there is none.
 
         Args:
             centre: (3,) of the object, mesh frame.
         """
-        if self.print_beside is None:
+        if self.texture_offset is None:
             return ""
-        away = 1000 * float(np.linalg.norm(self.print_beside @ centre - centre))
-        turn = np.rad2deg(rotation_angle(self.print_beside.R))
+        away = 1000 * float(np.linalg.norm(self.texture_offset @ centre - centre))
+        turn = np.rad2deg(rotation_angle(self.texture_offset.R))
         return (
-            f"its print lies {away:.1f} mm and {turn:.1f} deg beside that of the mesh (another "
-            "print run?), so the contour was followed"
+            f"its texture is {away:.1f} mm and {turn:.1f} deg beside that of the mesh (another "
+            "production run?), so the contour was followed"
         )
 
 
@@ -355,7 +364,6 @@ def weakest_direction(
 
 
 # A direction within this angle of another is named by it.
-_SAME_DEG = 25.0
 _PLAIN_WORDS = {"shift": "along ", "turn": "about "}
 _WEAK = re.compile(r"(?P<what>shift|turn) (?P<words>[^(]*)object axis \((?P<axis>[^)]*)\)")
 
@@ -367,15 +375,16 @@ def weak_direction_upright(sentence: str, up: NDArray[np.floating]) -> str:
         sentence: as returned, or "".
         up: (3,) the upright direction in the object frame, unit length.
     """
+    limits = DirectionSettings.current()
     found = _WEAK.search(sentence)
     if found is None:
         return sentence
     axis = np.array([float(x) for x in found["axis"].split(",")])
     along = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-9)
     words = found["words"]
-    if along > np.cos(np.deg2rad(_SAME_DEG)):
+    if along > np.cos(np.deg2rad(limits.same_deg)):
         words = "up or down, " if found["what"] == "shift" else "about its upright axis, "
-    elif along < np.sin(np.deg2rad(_SAME_DEG)) and words in _PLAIN_WORDS.values():
+    elif along < np.sin(np.deg2rad(limits.same_deg)) and words in _PLAIN_WORDS.values():
         words = "sideways, " if found["what"] == "shift" else "of its upright axis (tilt), "
     return sentence[: found.start("words")] + words + sentence[found.end("words") :]
 
@@ -388,13 +397,14 @@ def _view_words(
     views: Sequence[RefineView],
 ) -> str:
     """Return "along the view of frame 3, ", or "along " if the direction is along no view."""
+    limits = DirectionSettings.current()
     if T_world_obj is None or not views:
         return _PLAIN_WORDS[what]
     rays = T_world_obj @ centre - np.stack([view.T_world_cam.t for view in views])
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
     cosine = np.abs(rays @ (T_world_obj.R @ direction))
     best = int(np.argmax(cosine))
-    if cosine[best] < np.cos(np.deg2rad(_SAME_DEG)) or views[best].frame < 0:
+    if cosine[best] < np.cos(np.deg2rad(limits.same_deg)) or views[best].frame < 0:
         return _PLAIN_WORDS[what]
     frame = views[best].frame
     place = "along the view" if what == "shift" else "in the image"

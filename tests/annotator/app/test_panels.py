@@ -17,11 +17,11 @@ from annotator.app.pose_text import PoseFields, RotationForm
 from annotator.app.questions import Question
 from annotator.app.verdicts import object_verdict
 from annotator.session.residuals import FrameResidual
-from std_toolkit.checks.ranking import PoseRank
+from std_toolkit.checks.measure.ranking import PoseRank
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.print import PrintComparison
 from std_toolkit.labels.support.plane import Plane, TablePlane
+from std_toolkit.labels.texture.comparison import TextureComparison
 
 
 @pytest.fixture
@@ -63,7 +63,12 @@ GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
         (GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6), "good", "200 of 200 nearby poses"),
         (GOOD, PoseRank(150, 200, (0, 1), (0, 1), -0.1, 0.6), "poor", "150 of 200"),
         (GOOD, PoseRank(200, 200, (0, 1), (0, 1), 0.1, 0.6), "poor", "another turn fits as well"),
-        (GOOD, PoseRank(200, 200, (0, 1), (0,), -0.1, 0.6), "poor", "1 of 2 frames tells nothing"),
+        (
+            GOOD,
+            PoseRank(200, 200, (0, 1), (0,), -0.1, 0.6),
+            "poor",
+            "1 of 2 frames is inconclusive",
+        ),
         (GOOD, PoseRank(200, 200, (0,), (0,), -0.1, 0.6), "poor", "one frame alone"),
         (
             [*GOOD, residual(2, 19.0, None), residual(3, 19.0, None)],
@@ -71,12 +76,12 @@ GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
             "unknown",
             "2 of 4 frames are at chance level",
         ),
-        # In clutter the nearest edge tells nothing, but whether nearby poses agree better does.
+        # In clutter the nearest edge is inconclusive, but whether nearby poses agree better does.
         (
             [residual(k, 19.0, None) for k in range(4)],
             PoseRank(198, 200, (0, 1, 2, 3), (0, 1, 2), -0.1, 0.6),
             "good",
-            "1 of 4 frames tells nothing",
+            "1 of 4 frames is inconclusive",
         ),
         (
             [residual(k, 19.0, 2.0) for k in range(4)],
@@ -96,22 +101,24 @@ def test_a_pose_fits_only_if_most_frames_and_its_rank_say_so(
     assert words in found.text
 
 
-def test_a_print_that_fits_better_turned_is_offered_and_taken_as_one_edit(desk: Desk) -> None:
+def test_a_texture_that_fits_better_turned_is_offered_and_taken_as_one_edit(desk: Desk) -> None:
     c = desk.controller
     half = SE3(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     before = c.session.pose("box_1", 0)
     assert before is not None
     c.residuals["box_1"], c.ranks["box_1"] = GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
     assert not BY_ID["take_turn"].enabled(c)
-    c.prints["box_1"] = PrintComparison("turned", half, "turned by 180 deg about z", 0.1, 0.6, 4)
+    c.textures["box_1"] = TextureComparison(
+        "turned", half, "turned by 180 deg about z", 0.1, 0.6, 4
+    )
     assert object_verdict(c, "box_1").turned
-    assert "turned by 180 deg about z fits the print better" in verdict(c)
+    assert "turned by 180 deg about z fits the texture better" in verdict(c)
     assert BY_ID["take_turn"].enabled(c)
     BY_ID["take_turn"].run(c)
     after = c.session.pose("box_1", 0)
     assert after is not None
     np.testing.assert_allclose((before.inverse() @ after).R, half.R, atol=1e-9)
-    assert "box_1" not in c.prints
+    assert "box_1" not in c.textures
     c.undo()
     np.testing.assert_allclose(c.session.pose("box_1", 0).flat(), before.flat(), atol=1e-9)  # type: ignore[union-attr]
 

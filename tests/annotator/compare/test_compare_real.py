@@ -13,7 +13,7 @@ from annotator.compare import Comparison, compare_labels
 from annotator.compare.comparison_report import write_pictures
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
-from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.entry.label import add_model, add_object, set_pose
 from std_toolkit.scene import CameraModel, Frame, Frames, Scene, SceneInfo
 
 pytestmark = pytest.mark.real

@@ -14,8 +14,8 @@ from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.jobs import JobOptions
-from std_toolkit.labels.label import set_pose
-from std_toolkit.labels.pnp import solve_pnp
+from std_toolkit.labels.entry.label import set_pose
+from std_toolkit.labels.entry.pnp import solve_pnp
 from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.scene import Labels, Scene
 

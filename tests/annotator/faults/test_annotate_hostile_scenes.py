@@ -26,7 +26,7 @@ from annotator.session.journal import history_folder, journal_path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.io.atomic import scene_lock
-from std_toolkit.labels.label import set_pose as set_label
+from std_toolkit.labels.entry.label import set_pose as set_label
 from std_toolkit.scene import Scene
 
 # From linux/prctl.h and linux/capability.h.

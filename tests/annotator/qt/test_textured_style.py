@@ -1,4 +1,4 @@
-"""The window draws meshes with their print, without being asked."""
+"""The window draws meshes with their texture, without being asked."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from PySide6.QtCore import Qt
 from annotator.session import Session
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.label import set_pose
+from std_toolkit.labels.entry.label import set_pose
 from std_toolkit.scene import Scene
 
 Key = Qt.Key

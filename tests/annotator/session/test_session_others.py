@@ -145,7 +145,7 @@ class TestOthers:
         with Session.open(several) as session:
             session.apply(Move(object="two_views", frame=0, shift_mm=[1, 0, 0]))
             scene = Scene.open(several)
-            from std_toolkit.labels.label import remove_label
+            from std_toolkit.labels.entry.label import remove_label
 
             remove_label(scene, "two_views")
             with pytest.raises(ToolkitError, match="others changed"):

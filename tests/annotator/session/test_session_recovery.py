@@ -36,7 +36,7 @@ from annotator.session.journal import history_folder, journal_path, read_journal
 from annotator.session.merge import differ
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.label import add_object, set_pose
+from std_toolkit.labels.entry.label import add_object, set_pose
 from std_toolkit.scene import Scene
 
 NUMBER = st.floats(-50, 50, allow_nan=False)

@@ -1,4 +1,4 @@
-"""Style textured: the print of a mesh at the right places in every view."""
+"""Style textured: the texture of a mesh at the right places in every view."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def pixel(
     return color
 
 
-def assert_print(desk: Desk, places: dict[tuple[int, int, int], NDArray[np.float64]]) -> None:
+def assert_texture(desk: Desk, places: dict[tuple[int, int, int], NDArray[np.float64]]) -> None:
     """Check the colours at points of the box in the main view and in the side view."""
     for view in desk.views.views:
         picture, pose = view.screenshot(), view.T_eye_obj("box_1")
@@ -80,12 +80,12 @@ def test_it_is_the_default() -> None:
     assert ViewOptions().style is Style.TEXTURED
 
 
-def test_the_print_is_where_the_mesh_has_it(box_desk: Callable[..., Desk]) -> None:
-    assert_print(box_desk(), {RED: UPPER, GREEN: LOWER})
+def test_the_texture_is_where_the_mesh_has_it(box_desk: Callable[..., Desk]) -> None:
+    assert_texture(box_desk(), {RED: UPPER, GREEN: LOWER})
 
 
 def test_a_half_turn_shows_the_other_side(box_desk: Callable[..., Desk]) -> None:
-    assert_print(box_desk(pose=FRONT @ HALF_TURN), {BLUE: BEHIND})
+    assert_texture(box_desk(pose=FRONT @ HALF_TURN), {BLUE: BEHIND})
 
 
 def test_every_pixel_has_the_colour_of_its_point(box_desk: Callable[..., Desk]) -> None:
@@ -117,7 +117,7 @@ def test_the_cloud_has_it_at_every_opacity(box_desk: Callable[..., Desk]) -> Non
     desk = box_desk()
     desk.controller.set_mode(Mode.CLOUD)
     desk.settle()
-    assert_print(desk, {RED: UPPER, GREEN: LOWER})
+    assert_texture(desk, {RED: UPPER, GREEN: LOWER})
     opaque = desk.main.screenshot().astype(float)
     desk.controller.set_options(opacity=0.4)
     faint = desk.main.screenshot().astype(float)
@@ -163,7 +163,7 @@ def test_other_styles_do_not_show_it(box_desk: Callable[..., Desk]) -> None:
         picture = desk.main.screenshot()
         assert not hue_is(pixel(picture, desk.main.screen, pose, LOWER), GREEN)
     desk.controller.set_options(style=Style.TEXTURED)
-    assert_print(desk, {RED: UPPER, GREEN: LOWER})
+    assert_texture(desk, {RED: UPPER, GREEN: LOWER})
 
 
 def test_a_mesh_without_colours_looks_as_in_solid(desk: Desk) -> None:
@@ -173,7 +173,7 @@ def test_a_mesh_without_colours_looks_as_in_solid(desk: Desk) -> None:
 
 
 @pytest.mark.slow
-def test_the_print_stays_during_motion(box_desk: Callable[..., Desk]) -> None:
+def test_the_texture_stays_during_motion(box_desk: Callable[..., Desk]) -> None:
     """A decimated mesh has the colours of the full one."""
     desk = box_desk(pose=SE3(SE3.exp([0, 0, 0, 0.2, 0.4, 0]).R @ FRONT.R, FRONT.t), divisions=5)
     solid = desk.main.solid("box_1")
@@ -221,7 +221,7 @@ def test_the_thumbnail_shows_it(tmp_path: Path) -> None:
         assert hue_is(found, color_at(point)), (point, found)
 
 
-def test_a_thumbnail_is_drawn_again_for_another_print(tmp_path: Path) -> None:
+def test_a_thumbnail_is_drawn_again_for_another_texture(tmp_path: Path) -> None:
     box, uv = trimesh.creation.box(SIZE), np.random.default_rng(0).random((8, 2))
     first = cached_thumbnail(tmp_path, painted(box.copy(), texture(), uv), 48)
     second = cached_thumbnail(tmp_path, painted(box.copy(), texture()[::-1].copy(), uv), 48)
@@ -262,7 +262,7 @@ class TestColours:
             plotter.close()
 
     @pytest.mark.parametrize("kind", ["material", "vertices", "faces", "texture"])
-    def test_one_colour_is_no_print(self, kind: str) -> None:
+    def test_one_colour_is_no_texture(self, kind: str) -> None:
         box = trimesh.creation.box(SIZE)
         if kind == "material":
             material = trimesh.visual.material.SimpleMaterial(diffuse=[200, 10, 10, 255])
@@ -339,7 +339,7 @@ def test_faces_that_are_no_triangles_have_coordinates_by_vertex(tmp_path: Path) 
     assert CORNER_UV not in load_mesh(path).face_attributes
 
 
-def test_grey_is_not_taken_for_a_print() -> None:
+def test_grey_is_not_taken_for_a_texture() -> None:
     """Of the test itself: the colours are told apart."""
     for color in (RED, GREEN, BLUE, GREY):
         dark = (0.6 * np.array(color)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""A box whose print tells its sides: red above green in front, blue on the back, grey elsewhere."""
+"""A box whose texture tells its sides: red above green in front, blue behind, grey elsewhere."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def texture(side: int = 64) -> NDArray[np.uint8]:
 
 
 def color_at(point: NDArray[np.float64]) -> tuple[int, int, int]:
-    """The print at a point (3,) of the surface, by its position alone."""
+    """The texture at a point (3,) of the surface, by its position alone."""
     if point[2] > SIZE[2] / 2 - 1e-6:
         return RED if point[1] > 0 else GREEN
     return BLUE if point[2] < -SIZE[2] / 2 + 1e-6 else GREY
@@ -60,14 +60,14 @@ def write_obj(path: Path, *, divisions: int = 0, side: int = 64) -> Path:
     """The box as an OBJ file: faces share vertices, each has texture coordinates of its own."""
     vertices, faces, uv = textured_box(divisions)
     path.parent.mkdir(parents=True, exist_ok=True)
-    lines = ["mtllib box.mtl", "usemtl print"]
+    lines = ["mtllib box.mtl", "usemtl texture"]
     lines += ["v " + " ".join(f"{x:.6f}" for x in v) for v in vertices]
     lines += [f"vt {u:.6f} {v:.6f}" for u, v in uv.reshape(-1, 2)]
     for i, face in enumerate(faces):
         lines.append("f " + " ".join(f"{v + 1}/{3 * i + k + 1}" for k, v in enumerate(face)))
     path.write_text("\n".join(lines) + "\n")
-    (path.parent / "box.mtl").write_text("newmtl print\nKd 0.6 0.6 0.6\nmap_Kd print.png\n")
-    write_color(path.parent / "print.png", texture(side))
+    (path.parent / "box.mtl").write_text("newmtl texture\nKd 0.6 0.6 0.6\nmap_Kd texture.png\n")
+    write_color(path.parent / "texture.png", texture(side))
     return path
 
 

@@ -92,7 +92,7 @@ def test_photos_show_the_board_where_the_truth_says(
 
 
 @pytest.mark.parametrize("suffix", ["obj", "glb"])
-def test_print_on_a_box_keeps_all_pixels_of_its_texture(tmp_path: Path, suffix: str) -> None:
+def test_texture_on_a_box_keeps_all_pixels_of_its_texture(tmp_path: Path, suffix: str) -> None:
     lines = np.zeros((2048, 2048, 3), np.uint8)
     lines[:, ::2] = 255  # every second column: nothing of it is left at half the size
     box = trimesh.creation.box((0.06, 0.12, 0.04))

@@ -24,7 +24,7 @@ from sensors.synthetic.truth import write_annotations
 from std_toolkit.geometry import SE3, Camera, unproject_depth
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.jobs import JobOptions
-from std_toolkit.labels.posefile import read_pose
+from std_toolkit.labels.entry.posefile import read_pose
 from std_toolkit.scene import Scene
 
 SMALL = RecordingOptions(frames=3, arc_degrees=30, width=160, height=120, seed=3)

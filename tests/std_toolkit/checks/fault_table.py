@@ -14,12 +14,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.contours import LabelCaster
-from std_toolkit.checks.faults import Fault, FaultyScene, apply_fault, object_centre
-from std_toolkit.checks.judge import judge_scene
-from std_toolkit.checks.object_sizes import measure_sizes
-from std_toolkit.checks.prints import compare_prints
-from std_toolkit.checks.residuals import FrameObservation, measure_frame
+from std_toolkit.checks.gates.judge import judge_scene
+from std_toolkit.checks.inject.faults import Fault, FaultyScene, apply_fault
+from std_toolkit.checks.measure.contours import LabelCaster, object_centre
+from std_toolkit.checks.measure.object_sizes import measure_sizes
+from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame
+from std_toolkit.checks.measure.textures import compare_textures
 from std_toolkit.checks.result import CheckReport
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.options import CheckOptions
@@ -92,11 +92,11 @@ class Study:
         self.frames = scene.registered_frames()
         caster = LabelCaster.of_scene(scene)
         self.base = [measure_frame(scene, caster, f, self.options) for f in self.frames]
-        self.prints = compare_prints(scene, self.frames)
+        self.textures = compare_textures(scene, self.frames)
 
     def plain(self) -> CheckReport:
         """The report without a fault."""
-        return self._report(self.scene, self.base, self.prints, sizes=True)
+        return self._report(self.scene, self.base, self.textures, sizes=True)
 
     def outcome(self, case: FaultCase) -> Outcome:
         """What the check says of a fault."""
@@ -118,20 +118,20 @@ class Study:
                 continue
             again = measure_frame(case.scene, caster, frame, self.options, only=case.objects)
             observed.append(_merged(base, again, case.objects))
-        # The print is compared where all frames have the fault.
-        prints = self.prints
+        # The texture is compared where all frames have the fault.
+        textures = self.textures
         if case.frames is None and case.objects is not None:
-            again = compare_prints(case.scene, self.frames, only=case.objects)
-            prints = {**prints, **again}
+            again = compare_textures(case.scene, self.frames, only=case.objects)
+            textures = {**textures, **again}
         # The label of an object that moved is right in the other frames.
         scene = case.scene if case.frames is None or case.objects is None else self.scene
-        return self._report(scene, observed, prints, sizes=case.sizes)
+        return self._report(scene, observed, textures, sizes=case.sizes)
 
     def _report(
         self,
         scene: Scene,
         observed: list[FrameObservation],
-        prints: Mapping[int, object],
+        textures: Mapping[int, object],
         *,
         sizes: bool,
     ) -> CheckReport:
@@ -141,7 +141,7 @@ class Study:
             {},
             self.options,
             up=UP,
-            compared=prints,  # type: ignore[arg-type]
+            compared=textures,  # type: ignore[arg-type]
             sizes=measure_sizes(scene) if sizes else None,
         )
 
@@ -193,7 +193,7 @@ def _object_cases(scene: Scene, i: int, name: str, material: str) -> Iterator[Fa
     yield case(
         "tilted -10 deg" if shiny else "tilted -5 deg", "fail", put("tilt", -10 if shiny else -5)
     )
-    if name == "soup_can":  # a cylinder without print
+    if name == "soup_can":  # a cylinder without texture
         ambiguous = "ambiguous by geometry"
         yield case("upside down", "pass", put("tilt", 180), about=ambiguous)
     else:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from std_toolkit.checks.contours import LabelCaster
+from std_toolkit.checks.measure.contours import LabelCaster
 from std_toolkit.geometry import SE3, Camera
 
 

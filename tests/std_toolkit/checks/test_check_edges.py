@@ -7,16 +7,16 @@ import pytest
 from numpy.typing import NDArray
 from toy_balls import CAMERA, CENTRES, DISTANCE_M, RADIUS_M, arc_pose, ball_mesh, draw_balls
 
-from std_toolkit.checks.contours import NOTHING, Contour, LabelCaster, trace_contour
-from std_toolkit.checks.edge_sums import strength_at_shifts
-from std_toolkit.checks.edges import (
+from std_toolkit.checks.measure.contours import NOTHING, Contour, LabelCaster, trace_contour
+from std_toolkit.checks.measure.edge_sums import strength_at_shifts
+from std_toolkit.checks.measure.edges import (
     best_shift,
     edge_distance,
     noise_level,
     read_profiles,
     smooth_image,
 )
-from std_toolkit.checks.overlay import svg_path
+from std_toolkit.checks.page.overlay import svg_path
 from std_toolkit.geometry.se3 import SE3
 
 VIEW = arc_pose(0.0)

@@ -7,8 +7,13 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
-from std_toolkit.checks.gates import evaluate_gates, evaluate_object, is_uninformative, scale_share
-from std_toolkit.checks.report_warnings import find_warnings
+from std_toolkit.checks.gates.gates import (
+    evaluate_gates,
+    evaluate_object,
+    is_uninformative,
+    scale_share,
+)
+from std_toolkit.checks.gates.report_warnings import find_warnings
 from std_toolkit.checks.result import CheckGate, FrameCheck, ObjectCheck, SceneSummary
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from toy_balls import Toy
 
-from std_toolkit.checks import check_step, motion_solver
-from std_toolkit.checks.array_file import ArrayFile, FiledArray
-from std_toolkit.checks.coverage import measure_coverage
-from std_toolkit.checks.motion import MotionEquations, pooled_support
-from std_toolkit.checks.motion_solver import solve_motion
-from std_toolkit.checks.sensor_depth import ErrorTally
+from std_toolkit.checks import check_step
+from std_toolkit.checks.measure import motion_solver
+from std_toolkit.checks.measure.array_file import ArrayFile, FiledArray
+from std_toolkit.checks.measure.coverage import measure_coverage
+from std_toolkit.checks.measure.motion import MotionEquations, pooled_support
+from std_toolkit.checks.measure.motion_solver import solve_motion
+from std_toolkit.checks.measure.sensor_depth import ErrorTally
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 from std_toolkit.scene import Scene

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from toy_balls import CAMERA, CENTRES, arc_pose
 
-from std_toolkit.checks.coverage import directions, measure_coverage, scene_up
-from std_toolkit.checks.edges import fit_consistency, shift_jacobian
-from std_toolkit.checks.sensor_depth import ErrorTally, depth_residual
+from std_toolkit.checks.measure.coverage import directions, measure_coverage, scene_up
+from std_toolkit.checks.measure.edges import fit_consistency, shift_jacobian
+from std_toolkit.checks.measure.sensor_depth import ErrorTally, depth_residual
 
 
 def test_depth_residual_is_the_bias() -> None:

@@ -70,7 +70,7 @@ def check_frame(data: Path, root: Path, index: int, poses: str) -> dict[str, Obj
         scene, CheckOptions(overlay_frames=0), JobOptions(engine="serial", progress=False)
     )
     assert not report.passed
-    assert all(o.print_verdict != "turned" for o in report.objects)
+    assert all(o.texture_verdict != "turned" for o in report.objects)
     return {o.name: o for o in report.objects}
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from toy_balls import Toy
 
-from std_toolkit.checks.alignment import DepthShift, common_depth_shift
 from std_toolkit.checks.check_step import run_check
-from std_toolkit.checks.fault_gates import fault_gates
-from std_toolkit.checks.faults import Fault, apply_fault
-from std_toolkit.checks.frame_faults import FrameFaults, find_frame_faults
-from std_toolkit.checks.judge import judge_scene
-from std_toolkit.checks.residuals import FrameObservation, measure_frame, open_for_work
+from std_toolkit.checks.gates.fault_gates import fault_gates
+from std_toolkit.checks.gates.frame_faults import FrameFaults, find_frame_faults
+from std_toolkit.checks.gates.judge import judge_scene
+from std_toolkit.checks.inject.faults import Fault, apply_fault
+from std_toolkit.checks.measure.alignment import DepthShift, common_depth_shift
+from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame, open_for_work
 from std_toolkit.checks.result import (
     CheckGate,
     FrameCheck,

@@ -12,10 +12,10 @@ import pytest
 from toy_balls import Toy, write_toy
 
 from std_toolkit.checks.check_step import run_check
-from std_toolkit.checks.faults import KINDS, Fault, FaultKind, apply_fault, has_no_effect
-from std_toolkit.checks.inject import inject_faults
-from std_toolkit.checks.inject_report import detectability_table
-from std_toolkit.checks.residuals import measure_frame, open_for_work
+from std_toolkit.checks.inject.faults import KINDS, Fault, FaultKind, apply_fault, has_no_effect
+from std_toolkit.checks.inject.inject import inject_faults
+from std_toolkit.checks.measure.residuals import measure_frame, open_for_work
+from std_toolkit.checks.page.inject_report import detectability_table
 from std_toolkit.checks.result import CheckReport
 from std_toolkit.cli import main as cli
 from std_toolkit.geometry import rotation_angle
@@ -143,8 +143,8 @@ def test_the_command_prints_and_stores_the_table(
     scene = make_scene(Toy(frames=6))
     arguments = ["check", str(scene.root), "--inject", "--inject-frames", "4", "--engine", "serial"]
     assert cli.main([*arguments, "--inject-objects", "1", "--overlay-frames", "0"]) == 0
-    printed = capsys.readouterr().out
-    assert "Smallest fault that the gates catch" in printed
+    textured = capsys.readouterr().out
+    assert "Smallest fault that the gates catch" in textured
     report = read_document(scene.root / "check" / "report.json", CheckReport)
     found = report.detectability
     assert found is not None and len(found.frames) == 4

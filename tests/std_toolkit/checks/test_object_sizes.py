@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from toy_balls import Toy
 
-from std_toolkit.checks.object_sizes import (
+from std_toolkit.checks.gates.report_warnings import find_warnings
+from std_toolkit.checks.measure.object_sizes import (
     ObjectSize,
     combine_sizes,
     measure_sizes,
     object_sizes,
 )
-from std_toolkit.checks.report_warnings import find_warnings
 from std_toolkit.checks.result import CheckWarning, SceneSummary
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from std_toolkit.checks.ranking import PoseRank, rank_objects
+from std_toolkit.checks.measure.ranking import PoseRank, rank_objects
 from std_toolkit.geometry import SE3, Camera, Symmetry, so3_exp
 
 CAMERA = Camera(480, 360, 420.0, 420.0, 239.5, 179.5)

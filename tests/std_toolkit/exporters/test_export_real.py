@@ -13,7 +13,7 @@ from scipy.io import loadmat
 from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3
 from std_toolkit.importers import ImportRequest, import_recording
-from std_toolkit.labels.label import add_model
+from std_toolkit.labels.entry.label import add_model
 from std_toolkit.options import RenderOptions
 from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import CameraPoses, FramePose, Label, Labels, Object, ObjectTable, Scene

@@ -14,8 +14,8 @@ import pytest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.intrinsics import read_intrinsics
 from std_toolkit.io.foreign_files import read_npy, read_yaml
-from std_toolkit.labels.pnp import read_correspondences
-from std_toolkit.labels.posefile import read_pose
+from std_toolkit.labels.entry.pnp import read_correspondences
+from std_toolkit.labels.entry.posefile import read_pose
 from std_toolkit.poses.camera_file import read_cameras
 
 SECONDS, BYTES = 2.0, 500 * 1024 * 1024

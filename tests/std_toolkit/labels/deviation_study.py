@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from sensors.synthetic.recording import RecordingOptions, make_recording, printed_meshes
+from sensors.synthetic.recording import RecordingOptions, make_recording, textured_meshes
 from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
@@ -30,7 +30,7 @@ from std_toolkit.scene.model import Label, Labels, SymmetryModel
 FRAMES = 9
 START_M, START_DEG = 0.015, 8.0
 # Standard deviations of the faults.
-MESH_SIZE, PRINT_M, CAMERA_M, CAMERA_RAD = 0.003, 0.0004, 0.0007, 0.0007
+MESH_SIZE, TEXTURE_M, CAMERA_M, CAMERA_RAD = 0.003, 0.0004, 0.0007, 0.0007
 Array = NDArray[np.float64]
 
 
@@ -41,7 +41,7 @@ class Row:
     Attributes:
         z: errors in units of the reported deviations, one per direction (5 or 6).
         mm, deg: error of the centre and of the rotation, symmetry aware.
-        printed: whether the mesh has a print.
+        printed: whether the mesh has a texture.
         std_mm, std_deg: reported deviations along the weakest directions.
     """
 
@@ -52,7 +52,7 @@ class Row:
     depth: bool
     mesh_fault: bool
     camera_fault: bool
-    printed: bool
+    textured: bool
     z: list[float]
     mm: float
     deg: float
@@ -63,11 +63,11 @@ class Row:
 def recorded_study(
     recording: Path, scene_root: Path, seed: int, *, propagated: bool = False
 ) -> list[Row]:
-    """Record six objects and study them; in two of five recordings opaque meshes have a print."""
+    """Record six objects and study them; in two of five recordings opaque meshes have a texture."""
     options = RecordingOptions(frames=FRAMES, seed=seed)
     make_recording(recording, options, jobs=JobOptions(progress=False))
-    printed = options if seed % 5 < 2 and not propagated else None
-    return study(recording, scene_root, seed, printed=printed, propagated=propagated)
+    textured = options if seed % 5 < 2 and not propagated else None
+    return study(recording, scene_root, seed, textured=textured, propagated=propagated)
 
 
 def study(
@@ -75,7 +75,7 @@ def study(
     scene_root: Path,
     seed: int,
     *,
-    printed: RecordingOptions | None = None,
+    textured: RecordingOptions | None = None,
     propagated: bool = False,
 ) -> list[Row]:
     """Refine every object of a recording from one start each; rows in the order of their ids.
@@ -84,8 +84,8 @@ def study(
         recording: folder of the recording.
         scene_root: folder of the scene to make.
         seed: of the faults and starts; selects the kinds of faults, too.
-        printed: options of the recording, to give opaque meshes their prints; None leaves them
-            plain. A mesh with a print has no symmetry.
+        printed: options of the recording, to give opaque meshes their textures; None leaves them
+            plain. A mesh with a texture has no symmetry.
         propagated: annotate the starts in the first frame, propagate them with `refine` and read
             labels.json; else refine them at once. For plain meshes.
     """
@@ -101,11 +101,11 @@ def study(
     if camera_fault:
         _shake(scene, rng)
     meshes = {m.id: scene.mesh(m.id).copy() for m in scene.objects.models}
-    if printed is not None:
-        prints = printed_meshes(printed)
-        meshes |= {name: mesh.copy() for name, mesh in prints.items()}
+    if textured is not None:
+        textures = textured_meshes(textured)
+        meshes |= {name: mesh.copy() for name, mesh in textures.items()}
         models = [
-            msgspec.structs.replace(m, symmetry=SymmetryModel()) if m.id in prints else m
+            msgspec.structs.replace(m, symmetry=SymmetryModel()) if m.id in textures else m
             for m in scene.objects.models
         ]
         scene.save_objects(msgspec.structs.replace(scene.objects, models=models))
@@ -114,8 +114,8 @@ def study(
         for mesh in meshes.values():
             centre = mesh_bounds(mesh).mean(axis=0)
             mesh.vertices = centre + (mesh.vertices - centre) * rng.normal(1, MESH_SIZE, 3)
-            if printed is not None and mesh.visual.kind == "texture":
-                _shift_print(mesh, rng)
+            if textured is not None and mesh.visual.kind == "texture":
+                _shift_texture(mesh, rng)
     start = {
         i: _moved(T, mesh_bounds(meshes[scene.objects.object(i).model]).mean(axis=0), rng)
         for i, T in truth.items()
@@ -154,7 +154,7 @@ def study(
                 depth,
                 mesh_fault,
                 camera_fault,
-                printed is not None and model.id in prints,
+                textured is not None and model.id in textures,
                 [float(x) for x in z],
                 1000 * float(np.linalg.norm(error[:3])),
                 float(np.rad2deg(np.linalg.norm(turn))),
@@ -213,13 +213,13 @@ def _moved(T: SE3, centre: Array, rng: np.random.Generator) -> SE3:
     return SE3(np.eye(3), START_M * shift) @ T @ at @ turn @ at.inverse()
 
 
-def _shift_print(mesh: trimesh.Trimesh, rng: np.random.Generator) -> None:
-    """Move the print of each of six sides along the surface, as photos blended on a scan lie."""
+def _shift_texture(mesh: trimesh.Trimesh, rng: np.random.Generator) -> None:
+    """Move the texture of each of six sides along the surface, as photos blended on a scan lie."""
     uv = mesh.visual.uv
-    # `printed_mesh` has three by two tiles, each as wide as the largest extent.
+    # `textured_mesh` has three by two tiles, each as wide as the largest extent.
     middle = np.repeat(uv.reshape(-1, 3, 2).mean(axis=1), 3, axis=0)
     side = np.minimum(middle * [3, 2], [2.99, 1.99]).astype(int) @ [2, 1]
-    shift = rng.normal(0, PRINT_M / mesh.extents.max(), (6, 2)) / [3, 2]
+    shift = rng.normal(0, TEXTURE_M / mesh.extents.max(), (6, 2)) / [3, 2]
     mesh.visual.uv = uv + shift[side]
 
 

@@ -16,10 +16,10 @@ from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.io.images import read_color, read_depth
+from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
 from std_toolkit.labels.refine.caster import WorldCaster
 from std_toolkit.labels.refine.depth.observed import fit_background, plane_depth
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
-from std_toolkit.labels.symmetry_argument import parse_symmetry
 from std_toolkit.rendering.texture import TexturedSurface
 
 CAMERA = Camera(640, 480, 618.0172729492188, 618.0033569335938, 312.376953125, 232.37530517578125)
@@ -132,6 +132,6 @@ def _table(view: RefineView, objects: list[RefineObject]) -> NDArray[np.float64]
     return plane_depth(plane, rays.reshape(-1, 3)).reshape(view.depth.shape)
 
 
-def print_of(data: Path, name: str) -> TexturedSurface | None:
+def texture_of(data: Path, name: str) -> TexturedSurface | None:
     """The textured mesh of an object at full resolution."""
     return TexturedSurface.from_mesh(load_mesh(data / "ycb_meshes" / name / "textured.obj"))

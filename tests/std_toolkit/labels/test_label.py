@@ -13,9 +13,9 @@ from std_toolkit.cli.labelling import LabelArguments, label
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.label import add_model, add_object, set_pose
-from std_toolkit.labels.pnp import read_correspondences
-from std_toolkit.labels.symmetry_argument import parse_symmetry
+from std_toolkit.labels.entry.label import add_model, add_object, set_pose
+from std_toolkit.labels.entry.pnp import read_correspondences
+from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import annotated_views
 

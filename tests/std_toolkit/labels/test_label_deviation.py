@@ -125,8 +125,8 @@ def test_a_mesh_of_another_size_is_an_error_that_views_share() -> None:
     assert (wrong[1:] < wrong[0] / 10).all()
 
 
-def test_the_print_of_one_side_may_be_shifted_on_the_mesh() -> None:
-    """Many exact matches on one side determine where its print is, not where the object is."""
+def test_the_texture_of_one_side_may_be_shifted_on_the_mesh() -> None:
+    """Many exact matches on one side determine where its texture is, not where the object is."""
     rng = np.random.default_rng(8)
     T = SE3.identity()
     rows = []
@@ -134,7 +134,7 @@ def test_the_print_of_one_side_may_be_shifted_on_the_mesh() -> None:
         one = rows_of_a_view(k, rng, np.zeros(6))
         points = np.column_stack([np.ones(400), rng.uniform(-0.9, 0.9, (400, 2))])
         residual = rng.normal(0, 1e-6, 400)
-        rows.append(replace(one, kind="print", points=points, residual=residual))
+        rows.append(replace(one, kind="texture", points=points, residual=residual))
     system, _, left = solved(rows)
     (found,) = pose_covariances(system, left, [view_with(T, None)] * 6, [T], [cube(T)], [[]])
     assert np.sqrt(np.diag(found)[1:3]) == pytest.approx([0.0003] * 2, rel=0.1)

@@ -6,7 +6,7 @@ import pytest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3, rotation_angle
-from std_toolkit.labels.pnp import solve_pnp
+from std_toolkit.labels.entry.pnp import solve_pnp
 
 CAMERA = Camera(640, 480, 600.0, 605.0, 322.0, 238.0, (0.05, -0.02, 0.001, -0.001, 0.0))
 POSE = SE3.from_quat(

@@ -10,8 +10,8 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.pose_image import WantedImage
-from std_toolkit.labels.posefile import read_pose
+from std_toolkit.labels.entry.pose_image import WantedImage
+from std_toolkit.labels.entry.posefile import read_pose
 from std_toolkit.scene import Frame
 
 POSE = SE3.exp(np.array([0.05, -0.02, 0.7, 0.4, -0.8, 1.1]))

@@ -6,9 +6,9 @@ from tiny_camera import camera_pose
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.entry.label import add_model, add_object, set_pose
+from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
 from std_toolkit.labels.propagate import propagate_labels
-from std_toolkit.labels.symmetry_argument import parse_symmetry
 from std_toolkit.options import PropagateOptions
 from std_toolkit.scene import Scene
 

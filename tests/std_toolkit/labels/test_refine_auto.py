@@ -19,7 +19,7 @@ from std_toolkit.geometry.symmetry import mssd
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.labels import auto_refine
 from std_toolkit.labels.auto_refine import RefineCancelled, RefinedPose, refine_objects
-from std_toolkit.labels.label import add_model, add_object
+from std_toolkit.labels.entry.label import add_model, add_object
 from std_toolkit.labels.refine.problem import RefineOptions
 from std_toolkit.labels.refine_inputs import NOT_CONVERGED
 from std_toolkit.scene import (

@@ -143,14 +143,14 @@ def test_the_same_call_gives_the_same_pose():
 
 
 @pytest.mark.slow
-def test_the_print_tells_the_front_of_a_box_from_its_back():
+def test_the_texture_tells_the_front_of_a_box_from_its_back():
     mesh = trimesh.creation.box((0.08, 0.05, 0.1)).subdivide().subdivide().subdivide()
-    print_of = np.where(
+    texture_of = np.where(
         (mesh.vertices[:, 1] < 0)[:, None] & ((np.floor(mesh.vertices[:, [2]] / 0.02) % 2) == 0),
         [230, 40, 40],
         [40, 60, 200],
     )
-    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=print_of.astype(np.uint8))
+    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=texture_of.astype(np.uint8))
     colors = SurfaceColors.from_mesh(mesh)
     box = mesh_object(mesh, BOX.T_world_obj, "carton", colors=colors)
     view = photograph([box])
@@ -160,10 +160,10 @@ def test_the_print_tells_the_front_of_a_box_from_its_back():
     shown = np.isfinite(hits.depth)
     color = view.color.reshape(-1, 3).copy()
     color[shown] = colors.at(hits.face[shown], hits.corners[shown])
-    printed = replace(view, color=color.reshape(view.color.shape))
+    textured = replace(view, color=color.reshape(view.color.shape))
     back = box.T_world_obj @ SE3(so3_exp([0.0, 0.0, np.pi]), np.zeros(3))
     turned = replace(box, T_world_obj=off(back, box.centre, 0.01, 5, 0))
-    found = refine_on_depth([printed], turned).T_world_obj
+    found = refine_on_depth([textured], turned).T_world_obj
     assert error_mm(found, box) < 1.0
     plain = refine_on_depth([view], replace(turned, colors=None)).T_world_obj
     assert error_mm(plain @ SE3(so3_exp([0.0, 0.0, np.pi]), np.zeros(3)), box) < 1.0

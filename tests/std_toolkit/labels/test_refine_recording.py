@@ -11,7 +11,7 @@ from sensors.output.recording_writer import Truth, read_truth
 from sensors.synthetic.truth import annotate_first_frame, label_errors
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.entry.label import add_model, add_object, set_pose
 from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.options import PropagateOptions
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Frames, Scene, SceneInfo

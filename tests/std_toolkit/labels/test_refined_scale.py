@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.label import add_model, add_object, set_pose
+from std_toolkit.labels.entry.label import add_model, add_object, set_pose
 from std_toolkit.labels.refine_step import RefinedLabels
 from std_toolkit.labels.refined_scale import MeasuredScale, decide_scale
 from std_toolkit.scene import Label, Scene

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.labels.symmetry_argument import (
+from std_toolkit.labels.entry.symmetry_argument import (
     parse_symmetry,
     symmetry_doubt,
     symmetry_proposal,

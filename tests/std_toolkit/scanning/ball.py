@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.photos.views import View
 
 CENTRE = np.array([0.01, -0.02, 0.05])
 RADIUS = 0.04

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.glass_outlines import fit_vessel
-from std_toolkit.scanning.glass_profile import outline_evidence
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.photos.views import View
+from std_toolkit.scanning.vessel.glass_outlines import fit_vessel
+from std_toolkit.scanning.vessel.glass_profile import outline_evidence
 
 CAMERA = Camera(fx=280, fy=280, cx=159.5, cy=119.5, width=320, height=240)
 BOARD = np.array([[-0.1, -0.1, 0], [0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]], float)

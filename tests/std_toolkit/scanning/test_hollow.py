@@ -10,9 +10,9 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import KnownCameras
-from std_toolkit.scanning.hollow import hollowed
 from std_toolkit.scanning.options import ScanOptions
-from std_toolkit.scanning.views import Grid, View
+from std_toolkit.scanning.photos.views import Grid, View
+from std_toolkit.scanning.surface.hollow import hollowed
 from tests.std_toolkit.scanning.ball import ball_views, look_at
 
 STEP, WALL, RIM = 0.0008, 0.003, 0.07

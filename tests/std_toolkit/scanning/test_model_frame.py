@@ -13,8 +13,8 @@ pytest.importorskip("manifold3d")
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.geometry.symmetry_search import DetectedSymmetry
-from std_toolkit.labels.symmetry_argument import parse_symmetry
-from std_toolkit.scanning.model_frame import model_frame, write_symmetry
+from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
+from std_toolkit.scanning.model.model_frame import model_frame, write_symmetry
 
 ANGLE = 0.6
 T_WORLD_OBJ = SE3(so3_exp(np.array([0, 0, ANGLE])), np.array([0.2, -0.1, 0.05]))

@@ -9,8 +9,8 @@ pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
-from std_toolkit.scanning.object_checks import check_opaque, check_rest
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.board.object_checks import check_opaque, check_rest
+from std_toolkit.scanning.photos.views import View
 from tests.std_toolkit.scanning.ball import look_at
 
 CAMERA = Camera(640, 480, 600, 600, 319.5, 239.5)

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.scanning.photo_polish import fit_photos
-from std_toolkit.scanning.polish import averaging
+from std_toolkit.scanning.surface.photo_polish import fit_photos
+from std_toolkit.scanning.surface.polish import averaging
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views
 
 SHARP = Camera(640, 480, 1040, 1040, 319.5, 239.5)

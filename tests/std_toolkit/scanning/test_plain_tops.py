@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3
-from std_toolkit.scanning.hull import hull_field
-from std_toolkit.scanning.plain_tops import levelled
-from std_toolkit.scanning.views import Grid, View
+from std_toolkit.scanning.masks.hull import hull_field
+from std_toolkit.scanning.photos.views import Grid, View
+from std_toolkit.scanning.surface.plain_tops import levelled
 from tests.std_toolkit.scanning.test_turned_over import photos, plain
 
 TOP, RADIUS, STEP = 0.04, 0.03, 0.001

@@ -1,4 +1,4 @@
-"""Masks from what the photos prove, where the object has print of the colour of the table."""
+"""Masks from what the photos prove, where the object has parts of the colour of the table."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import pytest
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scanning.candidates import _inner, choose_candidate, find_candidates
-from std_toolkit.scanning.proven_masks import segment_on_table, without_islands
-from std_toolkit.scanning.views import Grid
+from std_toolkit.scanning.masks.candidates import _inner, choose_candidate, find_candidates
+from std_toolkit.scanning.masks.proven_masks import segment_on_table, without_islands
+from std_toolkit.scanning.photos.views import Grid
 from tests.std_toolkit.scanning.test_table_model import CORNERS, HIGH, photos_of_a_box
 
 
-def test_print_is_an_island_and_a_large_opening_is_not() -> None:
+def test_texture_is_an_island_and_a_large_opening_is_not() -> None:
     clear = np.ones((100, 100), bool)
     outline = np.zeros_like(clear)
     outline[20:80, 20:80] = True

@@ -1,4 +1,4 @@
-"""Turns that fit equally well: a plain block by its outlines, a print that is there twice."""
+"""Turns that fit equally well: a plain block by its outlines, a texture that is there twice."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import trimesh
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3, so3_exp
-from std_toolkit.scanning.hull import hull_field
-from std_toolkit.scanning.measured_surface import Side, side_surface
-from std_toolkit.scanning.turned_over import _print_repeats, find_turn
-from std_toolkit.scanning.views import Grid, View
+from std_toolkit.scanning.masks.hull import hull_field
+from std_toolkit.scanning.photos.views import Grid, View
+from std_toolkit.scanning.surface.measured_surface import Side, side_surface
+from std_toolkit.scanning.surface.turned_over import _texture_repeats, find_turn
 from tests.std_toolkit.scanning.test_turned_over import OVER, photos, plain, standing
 
 
@@ -38,7 +38,7 @@ def test_a_plain_block_fits_in_several_turns() -> None:
 
 
 @pytest.mark.parametrize(("twice", "repeats"), [(True, True), (False, False)])
-def test_a_print_that_is_there_twice(twice: bool, repeats: bool) -> None:
+def test_a_texture_that_is_there_twice(twice: bool, repeats: bool) -> None:
     rng = np.random.default_rng(0)
     q = rng.uniform(-0.05, 0.05, (80, 3))
     back = SE3(so3_exp(np.array([0, 0, np.pi])), np.zeros(3))
@@ -46,4 +46,4 @@ def test_a_print_that_is_there_twice(twice: bool, repeats: bool) -> None:
     p = np.concatenate([q[:40], wrong])
     inliers = np.arange(80) < 40
     pairs = np.concatenate([q[:40], q[:40]])
-    assert _print_repeats(SE3.identity(), p, pairs, inliers, 0.001, 0.002) == repeats
+    assert _texture_repeats(SE3.identity(), p, pairs, inliers, 0.001, 0.002) == repeats

@@ -9,9 +9,9 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.outline_rays import mask_outline
-from std_toolkit.scanning.revolve import fit_outline_points, fit_revolution
-from std_toolkit.scanning.revolved_surface import OutlineView, RevolvedSurface
+from std_toolkit.scanning.vessel.outline_rays import mask_outline
+from std_toolkit.scanning.vessel.revolve import fit_outline_points, fit_revolution
+from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 
 CAMERA = Camera(fx=420.0, fy=420.0, cx=159.5, cy=119.5, width=320, height=240)
 # Radius and height in metres, outside then inside: a tumbler with a waist.
@@ -81,7 +81,7 @@ def test_rim_that_only_photos_from_above_show(start_m: float) -> None:
         points.append(uv + rng.normal(0, 0.4, uv.shape))
     found = fit_outline_points(
         views, points, centre=CENTRE[:2], heights=np.array([0, 0.03, start_m]),
-        radii=np.array([0.026, 0.022, 0.03]),
+        radii=np.array([0.026, 0.022, 0.03]), most_outside=0.1,
     )  # fmt: skip
     assert found.heights[-1] == pytest.approx(0.09, abs=1e-3)
     assert found.radii[-1] == pytest.approx(0.03, abs=1e-3)

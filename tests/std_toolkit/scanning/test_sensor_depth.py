@@ -15,12 +15,11 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning import scan_step
-from std_toolkit.scanning.depth_maps import depth_maps
-from std_toolkit.scanning.measured_surface import Side, fused_surface, measure_side
-from std_toolkit.scanning.photos import Photos, is_scene, scene_photos
-from std_toolkit.scanning.posed_photos import PosedPhotos
-from std_toolkit.scanning.stages import Stages
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.photos.photos import Photos, is_scene, scene_photos
+from std_toolkit.scanning.photos.posed_photos import PosedPhotos
+from std_toolkit.scanning.photos.views import View
+from std_toolkit.scanning.surface.depth_maps import depth_maps
+from std_toolkit.scanning.surface.measured_surface import Side, fused_surface, measure_side
 from std_toolkit.scene import CameraModel, Frames, ObjectTable, Scene, SceneInfo
 from tests.scene_on_disk import write_frames
 from tests.std_toolkit.scanning.ball import CAMERA, ball_views
@@ -71,7 +70,7 @@ def side_of(views: list[View], folder: Path) -> tuple[Side, PosedPhotos]:
         warnings=[], digest="", photos=Photos((), (), (240, 180), 1.0),
     )  # fmt: skip
     folder.mkdir()
-    side = measure_side(OPTIONS, posed, views, depth_maps, Stages(folder), 1, lambda _: None)
+    side = measure_side(OPTIONS, posed, views, depth_maps, folder, 1, lambda _: None)
     return side, posed
 
 

@@ -13,15 +13,16 @@ pytest.importorskip("manifold3d")
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.bake import Texture
-from std_toolkit.scanning.depth_maps import DepthMap, hull_depth
-from std_toolkit.scanning.hull import hull_field, surface_of
-from std_toolkit.scanning.masks import volume_of_masks
-from std_toolkit.scanning.measured_surface import _hulls
-from std_toolkit.scanning.polish import averaging, fit_outlines
-from std_toolkit.scanning.surface import agreeing, closed_mesh, fuse, is_closed
-from std_toolkit.scanning.views import Grid
-from std_toolkit.scanning.write_model import write_model
+from std_toolkit.scanning.masks.hull import hull_field, surface_of
+from std_toolkit.scanning.masks.masks import volume_of_masks
+from std_toolkit.scanning.model.bake import Texture
+from std_toolkit.scanning.model.write_model import write_model
+from std_toolkit.scanning.photos.views import Grid
+from std_toolkit.scanning.photos.visibility import hull_depth
+from std_toolkit.scanning.surface.depth_maps import DepthMap
+from std_toolkit.scanning.surface.measured_surface import _hulls
+from std_toolkit.scanning.surface.polish import averaging, fit_outlines
+from std_toolkit.scanning.surface.surface import agreeing, closed_mesh, fuse, is_closed
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views
 
 pytestmark = pytest.mark.slow

@@ -10,10 +10,10 @@ import pytest
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import Camera
-from std_toolkit.scanning.masks import dilated
-from std_toolkit.scanning.table_comparison import compare
-from std_toolkit.scanning.table_model import _agreed, _gain, model_table
-from std_toolkit.scanning.views import View
+from std_toolkit.scanning.masks.masks import dilated
+from std_toolkit.scanning.masks.table_comparison import compare
+from std_toolkit.scanning.masks.table_model import _agreed, _gain, model_table
+from std_toolkit.scanning.photos.views import View
 from tests.std_toolkit.scanning.ball import look_at
 
 CAMERA = Camera(160, 120, 150, 150, 79.5, 59.5)
@@ -136,7 +136,7 @@ def test_a_cell_of_two_colours_is_in_doubt() -> None:
 
 
 @pytest.mark.slow
-def test_print_of_the_table_is_clear_only_where_the_photo_shows_it() -> None:
+def test_texture_of_the_table_is_clear_only_where_the_photo_shows_it() -> None:
     views = photos_of_a_box()
     table = model_table(views, np.array([-0.2, -0.2]), np.array([0.2, 0.2]), CORNERS)
     row = table.color.shape[0] // 2 - 60
@@ -152,7 +152,7 @@ def test_print_of_the_table_is_clear_only_where_the_photo_shows_it() -> None:
 
 
 @pytest.mark.slow
-def test_squares_of_print_larger_than_pixels_are_clear() -> None:
+def test_squares_of_texture_larger_than_pixels_are_clear() -> None:
     """In a sharp photo a square of a tag is many pixels wide, and alike within."""
     camera = Camera(120, 90, 900, 900, 59.5, 44.5)
     views = []

@@ -16,21 +16,20 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, rotation_angle, so3_exp
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.images import write_color
-from std_toolkit.scanning.depth_maps import depth_maps
-from std_toolkit.scanning.measured_surface import (
+from std_toolkit.scanning.masks.object_masks import both_positions
+from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.photos.photos import Photos
+from std_toolkit.scanning.photos.posed_photos import PosedPhotos
+from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.surface.depth_maps import depth_maps
+from std_toolkit.scanning.surface.measured_surface import (
     Side,
     Surface,
     fused_surface,
     measure_side,
     side_surface,
 )
-from std_toolkit.scanning.object_masks import both_positions
-from std_toolkit.scanning.options import ScanOptions
-from std_toolkit.scanning.photos import Photos
-from std_toolkit.scanning.posed_photos import PosedPhotos
-from std_toolkit.scanning.stages import Stages
-from std_toolkit.scanning.turned_over import find_turn
-from std_toolkit.scanning.views import Array, View
+from std_toolkit.scanning.surface.turned_over import find_turn
 from tests.std_toolkit.scanning.ball import CENTRE, look_at, paint
 
 CAMERA = Camera(240, 180, 390, 390, 119.5, 89.5)
@@ -84,7 +83,7 @@ def side(views: list[View], folder: Path) -> Side:
         warnings=[], digest="", photos=Photos((), (), (240, 180), 1.0),
     )  # fmt: skip
     folder.mkdir()
-    return measure_side(OPTIONS, posed, views, depth_maps, Stages(folder), 1, lambda _: None)
+    return measure_side(OPTIONS, posed, views, depth_maps, folder, 1, lambda _: None)
 
 
 OPTIONS = ScanOptions(photos=Path("a"), out=Path("o"), voxels=70, faces=6000, neighbours=4)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scanning.video import is_video, sample_video
+from std_toolkit.scanning.photos.video import is_video, sample_video
 
 _FRAMES, _STILL, _SIZE = 90, 30, (320, 240)
 

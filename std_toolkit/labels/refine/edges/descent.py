@@ -17,8 +17,8 @@ from std_toolkit.labels.refine.edges.system import (
     FACTOR,
     SCALE,
     NormalEquations,
-    PrintRows,
     Step,
+    TextureRows,
     WeightedRows,
 )
 
@@ -30,11 +30,11 @@ Array = NDArray[np.float64]
 _CONTOUR_CORRELATION_PX = 100.0
 _SMALLEST_EDGE_STD_PX = 0.25
 _SMALLEST_DEPTH_STD_M = 0.001
-# Matches of a print in one view count as at most this many independent points: what is off is the
+# Matches of a texture in one view count as at most this many independent points: what is off is the
 # texture on the mesh and the camera pose, alike for neighbours.
-_PRINT_SAMPLES, _SMALLEST_PRINT_STD_PX, _LARGEST_PRINT_STD_PX = 6.0, 0.5, 1.5
-# Beside a print, the contours of all views count as those of one view.
-_CONTOURS_BESIDE_PRINT = 1.0
+_TEXTURE_SAMPLES, _SMALLEST_TEXTURE_STD_PX, _LARGEST_TEXTURE_STD_PX = 6.0, 0.5, 1.5
+# Beside a texture, the contours of all views count as those of one view.
+_CONTOURS_BESIDE_TEXTURE = 1.0
 # Convergence limit of a step (mm at the object's surface): less than the change by contour
 # sampling from one step to the next. Coarse levels stop earlier.
 _SETTLED_MM = 0.1
@@ -50,8 +50,8 @@ class Descent:
         scale: image scale of the last level.
         step_mm: largest motion of an object's surface in the last step.
         scale_step: change of the log scale in the last step.
-        beside: by object index, where its print lies relative to its place on the mesh, for
-            prints that contradict the contour and were not followed.
+        beside: by object index, where its texture lies relative to its place on the mesh, for
+            textures that contradict the contour and were not followed.
     """
 
     measured: Measurements
@@ -202,9 +202,9 @@ def weigh(
             clear = np.concatenate([r.weight for r in mine]) > 0.1
             edge_std[i] = max(_robust_std(np.concatenate(left)[clear]), _SMALLEST_EDGE_STD_PX)
             information = 1 / (edge_std[i] ** 2 * _CONTOUR_CORRELATION_PX * max(scale, 0.5))
-            if any(k == i for k, _ in measured.prints):
-                # The rim of a scanned mesh is off by more than its print, and in all views alike.
-                information *= min(1.0, _CONTOURS_BESIDE_PRINT / len(mine))
+            if any(k == i for k, _ in measured.textures):
+                # The rim of a scanned mesh is off by more than its texture, and in all views alike.
+                information *= min(1.0, _CONTOURS_BESIDE_TEXTURE / len(mine))
             for rows, rest in zip(mine, left, strict=True):
                 weight = information * rows.weight * _cauchy(rest / edge_std[i])
                 J = np.column_stack([rows.pose, rows.scale])
@@ -244,27 +244,27 @@ def weigh(
                         surface.points,
                     )
                 )
-        printed = [rows for k, rows in measured.prints if k == i]
-        if printed:
-            found += _weigh_prints(i, printed, xi, d_scale)
+        textured = [rows for k, rows in measured.textures if k == i]
+        if textured:
+            found += _weigh_textures(i, textured, xi, d_scale)
     return found, edge_std, depth_std
 
 
-def _weigh_prints(
-    index: int, printed: Sequence[PrintRows], xi: Array, d_scale: float
+def _weigh_textures(
+    index: int, textured: Sequence[TextureRows], xi: Array, d_scale: float
 ) -> list[WeightedRows]:
-    left = [r.residual - r.pose @ xi - r.scale * d_scale for r in printed]
-    std = max(_robust_std(np.concatenate(left)), _SMALLEST_PRINT_STD_PX)
-    # A print may have parts that the mesh's print has not: the mode of the matches counts.
-    sharp = min(std, _LARGEST_PRINT_STD_PX)
+    left = [r.residual - r.pose @ xi - r.scale * d_scale for r in textured]
+    std = max(_robust_std(np.concatenate(left)), _SMALLEST_TEXTURE_STD_PX)
+    # A texture may have parts that the mesh's texture has not: the mode of the matches counts.
+    sharp = min(std, _LARGEST_TEXTURE_STD_PX)
     found = []
-    for rows, rest in zip(printed, left, strict=True):
-        share = min(1.0, _PRINT_SAMPLES / len(rest)) / std**2
+    for rows, rest in zip(textured, left, strict=True):
+        share = min(1.0, _TEXTURE_SAMPLES / len(rest)) / std**2
         weight = share * _cauchy(np.linalg.norm(rest, axis=1) / (sharp * np.sqrt(2)))
         J = np.concatenate([rows.pose, rows.scale[..., None]], axis=2).reshape(-1, 7)
         points = np.repeat(rows.points, 2, axis=0)
         flat = rows.residual.reshape(-1), J, (SCALE,), np.repeat(weight, 2), points
-        found.append(WeightedRows("print", index, rows.view, *flat))
+        found.append(WeightedRows("texture", index, rows.view, *flat))
     return found
 
 

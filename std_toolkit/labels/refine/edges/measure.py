@@ -106,21 +106,21 @@ class Measurements:
 
     contours: list[tuple[int, system.ContourRows]]
     depths: list[tuple[int, system.DepthRows]]
-    prints: list[tuple[int, system.PrintRows]] = field(default_factory=list)
+    textures: list[tuple[int, system.TextureRows]] = field(default_factory=list)
 
     def after(self, steps: Mapping[int, system.Step]) -> Measurements:
         """The residuals of the objects after these steps, by index, to first order."""
         return Measurements(
             [(k, rows.after(steps[k])) for k, rows in self.contours if k in steps],
             [(k, rows.after(steps[k])) for k, rows in self.depths if k in steps],
-            [(k, rows.after(steps[k])) for k, rows in self.prints if k in steps],
+            [(k, rows.after(steps[k])) for k, rows in self.textures if k in steps],
         )
 
     def __add__(self, other: Measurements) -> Measurements:
         return Measurements(
             self.contours + other.contours,
             self.depths + other.depths,
-            self.prints + other.prints,
+            self.textures + other.textures,
         )
 
 

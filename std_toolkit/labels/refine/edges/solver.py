@@ -10,7 +10,7 @@ without the factor the labels would move by as much. Rough starts need a search 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,19 +20,26 @@ from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges.approach import approach
 from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend, weigh
 from std_toolkit.labels.refine.edges.measure import Level, PoseState, coarse_to_fine
-from std_toolkit.labels.refine.edges.print_matches import follow_prints
 from std_toolkit.labels.refine.edges.restarts import end_elsewhere
+from std_toolkit.labels.refine.edges.texture_matches import follow_textures
 from std_toolkit.labels.refine.edges.uncertainty import pose_covariances
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
 # Objects that are not rough are as near.
 _APPROACHED_PX = 20.0
-# Largest last step of a refinement that converged.
-_CONVERGED_MM = 0.5
 # Fraction of the time after which the last level is repeated from other starts.
 _RESTARTED = 0.9
 # Time of the search for an object, in units of its edge refinement.
 _SEARCH = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvergenceSettings(Settings):
+    """When a joint refinement has converged."""
+
+    last_step_mm: float = limit(0.5, unit="mm", source=NOT_RECORDED)
+    """largest last step at the surface"""
 
 
 def refine_poses(
@@ -40,7 +47,7 @@ def refine_poses(
     objects: Sequence[problem.RefineObject],
     options: problem.RefineOptions | None = None,
     *,
-    print_views: Sequence[problem.RefineView] = (),
+    texture_views: Sequence[problem.RefineView] = (),
     layers: LayerStore | None = None,
     progress: problem.Progress = problem.no_progress,
 ) -> problem.RefineResult:
@@ -50,7 +57,7 @@ def refine_poses(
         views: images with metric camera poses; three or more from different sides determine
             objects without depth, one determines the distance to the camera weakly.
         objects: all labelled objects of the scene, so that occlusions between them are known.
-        print_views: more views, in which only prints are matched, because that is cheap.
+        texture_views: more views, in which only textures are matched, because that is cheap.
         layers: cached layers of the objects in these views, if any.
         progress: called with the completed fraction.
 
@@ -76,9 +83,9 @@ def refine_poses(
             progress=problem.sub_progress(progress, 0, searched),
         )
         options = replace(options, search_px=min(options.search_px, _APPROACHED_PX))
-    printed = options.use_prints and any(o.print is not None and not o.fixed for o in objects)
+    textured = options.use_textures and any(o.texture is not None and not o.fixed for o in objects)
     ended = searched + (1 - searched) * _RESTARTED
-    contours_done = searched + (ended - searched) * (0.6 if printed else 1.0)
+    contours_done = searched + (ended - searched) * (0.6 if textured else 1.0)
     state = PoseState([o.T_world_obj for o in objects])
     levels = coarse_to_fine(views, options)
     descent = descend(
@@ -90,10 +97,10 @@ def refine_poses(
         layers=layers,
         progress=problem.sub_progress(progress, searched, contours_done),
     )
-    if printed:
-        descent = follow_prints(
+    if textured:
+        descent = follow_textures(
             views,
-            print_views,
+            texture_views,
             objects,
             state,
             descent,
@@ -104,7 +111,7 @@ def refine_poses(
         )
     return _result(
         views,
-        print_views,
+        texture_views,
         objects,
         state,
         descent,
@@ -117,7 +124,7 @@ def refine_poses(
 
 def _result(
     views: Sequence[problem.RefineView],
-    print_views: Sequence[problem.RefineView],
+    texture_views: Sequence[problem.RefineView],
     objects: Sequence[problem.RefineObject],
     state: PoseState,
     descent: Descent,
@@ -127,14 +134,15 @@ def _result(
     layers: LayerStore,
     progress: problem.Progress,
 ) -> problem.RefineResult:
+    limits = ConvergenceSettings.current()
     measured, scale = descent.measured, descent.scale
     zero = np.zeros(6 * len(objects) + 2)
     system, edge_std, depth_std = assemble(objects, state, measured, scale, options, zero)
     covariance = system.covariance([o.radius for o in objects])
     rows, _, _ = weigh(len(objects), measured, scale, options, zero)
     noise = [covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(len(objects))]
-    # Matches of a print do not depend on the start.
-    followed = {i for i, _ in measured.prints}
+    # Matches of a texture do not depend on the start.
+    followed = {i for i, _ in measured.textures}
     ends = end_elsewhere(
         views,
         [replace(o, fixed=o.fixed or i in followed) for i, o in enumerate(objects)],
@@ -145,7 +153,7 @@ def _result(
         layers=layers,
         progress=progress,
     )
-    every = [*views, *print_views]
+    every = [*views, *texture_views]
     blocks = pose_covariances(system, rows, every, state.poses, objects, ends, scale=scale)
     refined = []
     for i, obj in enumerate(objects):
@@ -167,7 +175,7 @@ def _result(
                 edge_std.get(i, float("nan")) / scale,
                 depth_std.get(i),
                 seen,
-                seen > 0 and descent.step_mm < _CONVERGED_MM,
+                seen > 0 and descent.step_mm < limits.last_step_mm,
                 covariance[6 * i : 6 * i + 6, system.SCALE] / covariance[system.SCALE, system.SCALE]
                 if options.refine_scale
                 else np.zeros(6),
@@ -175,7 +183,7 @@ def _result(
             )
         )
     scale_std = float(np.sqrt(covariance[system.SCALE, system.SCALE]))
-    settled = descent.step_mm < _CONVERGED_MM and descent.scale_step < scale_std
+    settled = descent.step_mm < limits.last_step_mm and descent.scale_step < scale_std
     factor_std = float(np.sqrt(covariance[system.FACTOR, system.FACTOR]))
     return problem.RefineResult(
         tuple(refined),

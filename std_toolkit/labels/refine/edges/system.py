@@ -23,7 +23,7 @@ _BORDER_PX = 3
 
 _SMALLEST_COSINE = 0.3
 
-Kind = Literal["contour", "depth", "print"]
+Kind = Literal["contour", "depth", "texture"]
 
 # Places of the shared unknowns, counted from the end.
 SCALE, FACTOR = 2, 1
@@ -97,8 +97,8 @@ class DepthRows:
 
 
 @dataclass(frozen=True, eq=False)
-class PrintRows:
-    """Residuals of matched points of a print in one view with their derivatives.
+class TextureRows:
+    """Residuals of matched points of a texture in one view with their derivatives.
 
     Attributes:
         residual: (N, 2) pixels, where the view shows the points minus where they are predicted.
@@ -114,7 +114,7 @@ class PrintRows:
     view: int
     points: Array
 
-    def after(self, step: Step) -> PrintRows:
+    def after(self, step: Step) -> TextureRows:
         """The same rows once a small step was made, to first order."""
         left = self.residual - self.pose @ step.xi - self.scale * step.scale
         return replace(self, residual=left)
@@ -224,7 +224,7 @@ def depth_rows(
     )
 
 
-def print_rows(
+def texture_rows(
     points: Array,
     pixels: Array,
     camera: Camera,
@@ -233,7 +233,7 @@ def print_rows(
     *,
     view: int,
     scale: float,
-) -> PrintRows:
+) -> TextureRows:
     """Linearise matched points about the current poses.
 
     Args:
@@ -257,7 +257,7 @@ def print_rows(
         [_pose_derivative(g_world[:, k], X_world, T_world_obj) for k in range(2)], axis=1
     )
     residual = scale * (pixels - camera.project(p))
-    return PrintRows(residual, pose, -g_world @ T_world_cam.t, view, points)
+    return TextureRows(residual, pose, -g_world @ T_world_cam.t, view, points)
 
 
 def _pose_derivative(g_world: Array, X_world: Array, T_world_obj: SE3) -> Array:

@@ -1,4 +1,4 @@
-"""Covariances of refined poses: noise, errors of cameras, mesh and print, and other starts.
+"""Covariances of refined poses: noise, errors of cameras, mesh and texture, and other starts.
 
 The normal equations weigh the measurements. What their solution is wrong by has several causes, and
 only noise averages out over samples and views:
@@ -6,7 +6,7 @@ only noise averages out over samples and views:
 - noise of edges, depth and matches, independent between samples that are far enough apart;
 - the error of a camera pose, alike for all samples of a view, as far as `poses.json` states it;
 - errors that all views share: the size of the mesh along each axis, edges beside the rim of the
-  mesh, a print that is shifted on a side of the mesh;
+  mesh, a texture that is shifted on a side of the mesh;
 - views that disagree by more than all this;
 - where the refinement ends when it starts elsewhere.
 
@@ -61,8 +61,8 @@ _OTHER_RIM_PX = 0.2
 # ways than these.
 _UNSEEN = 0.02
 
-# Deviation of the print of one side from its place on the mesh, metres.
-_PRINT_M = 0.0003
+# Deviation of the texture of one side from its place on the mesh, metres.
+_TEXTURE_M = 0.0003
 
 
 def pose_covariances(
@@ -177,7 +177,7 @@ def _causes(
                 one,
                 _noise(one, one.residual - one.jacobian[:, :6] @ moved, objects[i].material),
                 _of_camera(one, views[k], poses[i]),
-                np.hstack([_of_mesh(one, objects[i], scale), _of_print(one, objects[i])]),
+                np.hstack([_of_mesh(one, objects[i], scale), _of_texture(one, objects[i])]),
             )
 
 
@@ -221,16 +221,16 @@ def _of_mesh(one: WeightedRows, obj: RefineObject, scale: float) -> Array:
     return np.hstack([size, facing])
 
 
-def _of_print(one: WeightedRows, obj: RefineObject) -> Array:
-    """(N, 18) residuals by a shift of the print on the sides that face six directions."""
+def _of_texture(one: WeightedRows, obj: RefineObject) -> Array:
+    """(N, 18) residuals by a shift of the texture on the sides that face six directions."""
     shift = np.zeros((len(one.residual), 6, 3))
-    if one.kind == "print":
+    if one.kind == "texture":
         _, normals = obj.surface.closest(one.points)
         outward = np.where(
             ((one.points - obj.centre) * normals).sum(axis=1, keepdims=True) < 0, -normals, normals
         )
         facing = _facing(outward)
-        shift = _PRINT_M * facing[:, :, None] * one.jacobian[:, None, :3]
+        shift = _TEXTURE_M * facing[:, :, None] * one.jacobian[:, None, :3]
     return shift.reshape(len(shift), 18)
 
 

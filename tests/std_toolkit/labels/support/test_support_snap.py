@@ -88,7 +88,7 @@ def test_a_tilted_carton_comes_to_lie_flat_by_the_smallest_turn() -> None:
 
 
 def test_a_can_on_its_side_keeps_its_roll() -> None:
-    """The hull of a can has 96 narrow sides: laying it onto one of them would turn its print."""
+    """The hull of a can has 96 narrow sides: laying it onto one of them would turn its texture."""
     for roll in np.radians([0.0, 0.7, 1.3, 2.9]):
         lying = so3_exp([0.0, roll, 0.0])  # its axis y is level
         tilted = so3_exp([0.0, 0.0, 0.0]) @ so3_exp([np.radians(8), 0, 0]) @ lying

@@ -1,0 +1,167 @@
+"""The report of the check from the measurements of the frames, without pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks import result
+from std_toolkit.checks.gates import report_warnings
+from std_toolkit.checks.gates.fault_gates import fault_gates
+from std_toolkit.checks.gates.frame_faults import find_frame_faults
+from std_toolkit.checks.gates.gates import evaluate_gates, evaluate_object, scale_share
+from std_toolkit.checks.gates.motion_checks import motion_gates, with_motions
+from std_toolkit.checks.measure import aggregate, contours, residuals, textures
+from std_toolkit.checks.measure.alignment import common_depth_shift
+from std_toolkit.labels.texture.comparison import TextureComparison
+from std_toolkit.options import CheckOptions
+from std_toolkit.scene import Scene
+from std_toolkit.scene.model import ScaleEstimate
+
+
+def judge_scene(
+    scene: Scene,
+    observed: list[residuals.FrameObservation],
+    problems: dict[int, str],
+    options: CheckOptions,
+    *,
+    up: NDArray[np.float64],
+    compared: Mapping[int, TextureComparison] | None = None,
+    sizes: ScaleEstimate | None = None,
+) -> result.CheckReport:
+    """Aggregate the measurements and evaluate the gates; writes nothing.
+
+    Args:
+        scene: the scene that was measured.
+        observed: the measured frames.
+        problems: error line by frame id, of frames that could not be measured.
+        options: limits.
+        up: (3,) unit vector that points up in the world.
+        compared: comparisons of the textures, by object id; see `textures.compare_textures`.
+        sizes: scale from the sizes of the objects; see `object_sizes.measure_sizes`.
+    """
+    bias = aggregate.common_depth_bias(scene, observed)
+    objects = aggregate.check_objects(scene, observed, up=up, depth_bias=bias)
+    rows = aggregate.check_frames(scene, observed, problems)
+    materials = aggregate.check_materials(scene, observed)
+    objects = textures.with_textures(objects, compared or {})
+    objects = with_motions(scene, objects, observed, options)
+    summary = _summary(scene, objects, rows, observed, bias)
+    summary = msgspec.structs.replace(summary, sizes=sizes)
+    objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
+    faults = find_frame_faults(objects, rows, options)
+    objects, rows = faults.objects, faults.frames
+    gates = evaluate_gates(summary, objects, rows, scene.poses, options)
+    gates += fault_gates(faults, summary, options)
+    gates += motion_gates(objects, options)
+    gates += [textures.texture_gate(objects), *_mesh_gate(scene)]
+    failed = [g for g in gates if g.status == "fail"]
+    return result.CheckReport(
+        scene=scene.info.name,
+        passed=not failed,
+        verdict=_verdict(failed, summary),
+        summary=summary,
+        gates=gates,
+        warnings=report_warnings.find_warnings(summary, gates, objects, rows, materials, options),
+        missing=_missing(scene, summary, observed),
+        objects=objects,
+        frames=rows,
+        materials=materials,
+        limits={k: float(v) for k, v in asdict(options).items()},
+    )
+
+
+def _summary(
+    scene: Scene,
+    objects: list[result.ObjectCheck],
+    rows: list[result.FrameCheck],
+    observed: list[residuals.FrameObservation],
+    bias: float | None,
+) -> result.SceneSummary:
+    registered = [r for r in rows if r.status == "registered"]
+    errors = [r.reprojection_px for r in registered if r.reprojection_px is not None]
+    current = sum(o.truth == "current" for o in observed)
+    cast = any(o.tallies for o in observed)
+    shifts = aggregate.depth_shifts(observed)
+    shift = common_depth_shift(shifts)
+    return result.SceneSummary(
+        frames=len(rows),
+        registered=len(registered),
+        looked_at=len(observed),
+        reprojection_px=aggregate.rounded(float(np.mean(errors))) if errors else None,
+        objects=len(objects),
+        labelled=sum(o.label in ("propagated", "refined") for o in objects),
+        depth_frames=sum(f.depth is not None for f in scene.frames),
+        truth_frames=current,
+        truth_source="rendered maps" if current else "labels cast here" if cast else "none",
+        depth_shift_px=[round(shift.x_px, 2), round(shift.y_px, 2)] if shift else None,
+        depth_shift_std_px=aggregate.rounded(shift.std_px) if shift else None,
+        depth_shifts=len(shifts),
+        depth_bias=aggregate.rounded(bias, 5),
+        scale=scene.poses.scale if scene.poses else None,
+        poses_source=scene.poses.source if scene.poses else "",
+    )
+
+
+def _missing(
+    scene: Scene, summary: result.SceneSummary, observed: list[residuals.FrameObservation]
+) -> list[str]:
+    found = []
+    if scene.poses is None:
+        found.append("Camera poses: labels cannot be checked without them; run `std-curate poses`.")
+    elif summary.registered == 0:
+        found.append("Registered frames: no frame has a camera pose, so no label can be checked.")
+    if summary.objects == 0:
+        found.append("Objects: objects.json lists none.")
+    elif summary.labelled == 0:
+        found.append("Labels in the world: run `std-curate label`, then `std-curate propagate`.")
+    if summary.depth_frames == 0:
+        found.append("Sensor depth: no depth residuals and no comparison with ground truth.")
+    if observed and summary.labelled and not any(o.truth != "none" for o in observed):
+        found.append(
+            "Rendered ground truth (`std-curate render`): visibility considers occlusion by "
+            "labelled objects only, and depth is compared with the labels."
+        )
+    if summary.labelled and summary.reprojection_px is None:
+        found.append("Reprojection errors: the camera poses have none.")
+    if observed and summary.looked_at < summary.registered:
+        found.append(
+            f"{summary.registered - summary.looked_at} registered frames: "
+            f"{summary.looked_at} evenly spaced ones were measured (--max-frames 0 measures all)."
+        )
+    return found
+
+
+def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
+    problems = {
+        o.name: p
+        for o in scene.objects.objects
+        if scene.T_world_obj(o.id) is not None and (p := contours.mesh_problem(scene, o.model))
+    }
+    if not problems:
+        return []
+    return [
+        result.CheckGate(
+            key="meshes",
+            title="labelled objects whose mesh cannot be read",
+            value=float(len(problems)),
+            limit=0.0,
+            rule="at most",
+            status="fail",
+            detail=", ".join(problems),
+            advice="; ".join(problems.values()),
+        )
+    ]
+
+
+def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:
+    if failed:
+        count = f"{len(failed)} gate{'s' if len(failed) > 1 else ''}"
+        return f"FAIL: {count}: {', '.join(g.key for g in failed)}"
+    if summary.labelled:
+        return "PASS: labels usable"
+    return "PASS: camera poses usable; there are no labels to check"

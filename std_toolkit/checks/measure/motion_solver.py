@@ -1,0 +1,292 @@
+"""The motion common to the equations of several frames, with its uncertainty.
+
+The frames are read in blocks, so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.measure.array_file import ArrayFile
+from std_toolkit.checks.measure.motion import INDEPENDENT_PX, FiledEquations, MotionEquations
+from std_toolkit.geometry import SE3
+from std_toolkit.geometry.symmetry import Symmetry
+
+Array = NDArray[np.float64]
+
+# Chi square with three degrees of freedom that chance exceeds as rarely as three deviations.
+_SIGNIFICANT_CHI2 = 14.16
+# A motion with a smaller gain in log likelihood is not shown: among clutter, the edges at the label
+# are nearly as likely.
+_LEAST_GAIN = 2.0
+# Parts of a significant motion below this number of deviations are left out.
+_CONTRIBUTES = 2.0
+# Anti-aliasing, shading and the mesh move edges by this much even where the label is exact.
+_SMALLEST_STD_PX = 0.25
+_PRIOR = np.array([0.03] * 3 + [0.25] * 3)
+_PRIOR_SIZE = 0.1
+# Widths in px of the edge's likelihood: wide ones find the motion, the last one measures it.
+_WIDTHS_PX = (6.0, 4.0, 2.5, 1.5, 1.0, 0.7)
+_STEPS = 3
+# The widths that searches begin with: a narrow one stays at edges near the label.
+_STARTS = (0, 2, 4)
+_FIXED = 1e-6
+# Frames in memory at a time: 4 MB.
+_BLOCK_FRAMES = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion with its uncertainty.
+
+    Attributes:
+        vector: (6,), see the module.
+        covariance: (6, 6).
+        size: size of the object relative to its mesh, minus 1; None if it was not solved.
+        size_std: its standard deviation.
+        residual_px: robust standard deviation of the edges around the moved contour.
+        gain: log likelihood of the independent samples gained by the motion.
+    """
+
+    vector: Array
+    covariance: Array
+    size: float | None
+    size_std: float | None
+    residual_px: float
+    gain: float
+
+    @property
+    def translation_mm(self) -> tuple[float, float]:
+        """Length of the significant translation and the standard deviation along it, mm."""
+        length, std = self._significant(slice(3))
+        return 1000 * length, 1000 * std
+
+    @property
+    def rotation_deg(self) -> tuple[float, float]:
+        """Angle of the significant rotation and the standard deviation of it, degrees."""
+        length, std = self._significant(slice(3, 6))
+        return float(np.rad2deg(length)), float(np.rad2deg(std))
+
+    def _significant(self, part: slice) -> tuple[float, float]:
+        """Length of the significant part, and the standard deviation along it."""
+        vector = self.vector[part] if self.gain >= _LEAST_GAIN else np.zeros(3)
+        return _significant(vector, self.covariance[part, part])
+
+
+def symmetry_motions(symmetry: Symmetry, T_world_obj: SE3, centre: Array) -> Array:
+    """(N, 6) motions that do not change the appearance of the object."""
+    if symmetry.is_spherical:
+        return np.eye(6)[3:]
+    rows = []
+    for axis, offset in symmetry.continuous:
+        w = T_world_obj.R @ (np.asarray(axis) / np.linalg.norm(axis))
+        rows.append(np.concatenate([np.cross(w, centre - T_world_obj @ np.asarray(offset)), w]))
+    return np.array(rows).reshape(-1, 6)
+
+
+def solve_motion(
+    equations: Sequence[MotionEquations | FiledEquations],
+    free: Array | None = None,
+    *,
+    with_size: bool = False,
+    systematic_px: float = 0.0,
+) -> Motion | None:
+    """The motion common to all frames.
+
+    Args:
+        equations: one entry per frame.
+        free: (N, 6) motions that are left out, from `symmetry_motions`.
+        with_size: solve for the size of the object, too.
+        systematic_px: standard deviation of an error that edges of all frames share; it is part of
+            the covariance.
+
+    Returns:
+        None without equations.
+    """
+    if not equations:
+        return None
+    dof = 7 if with_size else 6
+    prior = np.diag(1 / np.concatenate([_PRIOR, [_PRIOR_SIZE]])[:dof] ** 2)
+    for motion in np.zeros((0, 6)) if free is None else free:
+        row = np.zeros(dof)
+        row[:6] = motion
+        prior += np.outer(row, row) / _FIXED**2
+    with _Rows(equations, dof) as rows:
+        found = _climbs(rows, prior)
+        at_label, *scores = _scores(rows, prior, [np.zeros(dof), *found])
+        best = int(np.argmax(scores))
+        xi = found[best]
+        std = _deviation(rows, xi)
+        information, squares = _information(rows, xi, std)
+    covariance = np.linalg.inv(information + prior).astype(np.float64)
+    # px per metre and per radian.
+    for part, square in zip((slice(3), slice(3, 6)), squares, strict=True):
+        covariance[part, part] += np.eye(3) * systematic_px**2 / max(square, 1e-9)
+    return Motion(
+        xi[:6],
+        covariance[:6, :6],
+        float(xi[6]) if with_size else None,
+        float(np.sqrt(covariance[6, 6])) if with_size else None,
+        std,
+        scores[best] - at_label,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Rows of some frames, see `edge_sums.add_normal_equations`; no edge is one of strength 0."""
+
+    offsets: Array
+    strengths: Array
+    clutter: Array
+    share: Array
+    jacobian: Array
+
+    @staticmethod
+    def of(equations: Sequence[MotionEquations | FiledEquations], dof: int) -> _Block:
+        loaded = [e.load() for e in equations]
+        jacobian = np.concatenate([e.jacobian[:, :dof] for e in loaded])
+        offsets = np.concatenate([e.offsets for e in loaded]).astype(np.float64)
+        strengths = np.concatenate([e.strengths for e in loaded]).astype(np.float64)
+        clutter = np.concatenate([e.clutter for e in loaded]).astype(np.float64)
+        # The number of independent samples that each row stands for.
+        share = np.concatenate(
+            [np.full(len(e.offsets), e.length_px / INDEPENDENT_PX / len(e.offsets)) for e in loaded]
+        )
+        known = np.isfinite(offsets)
+        return _Block(
+            np.where(known, offsets, 0.0),
+            np.where(known, strengths, 0.0),
+            clutter,
+            share,
+            jacobian.astype(np.float64),
+        )
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        return self.offsets, self.strengths, self.clutter, self.share, self.jacobian
+
+    def responsibility(self, motion: Array) -> tuple[Array, Array]:
+        """(P, K) probabilities of the edges after a motion, and (P,) log likelihoods."""
+        width = _WIDTHS_PX[-1]
+        e = self.offsets - (self.jacobian @ motion)[:, None]
+        density = self.strengths * np.exp(-0.5 * (e / width) ** 2) / (np.sqrt(2 * np.pi) * width)
+        total = density.sum(axis=1) + self.clutter
+        return density / total[:, None], np.log(total)
+
+
+class _Rows:
+    """The equations of all frames; those of a long recording are in blocks in a file."""
+
+    def __init__(self, equations: Sequence[MotionEquations | FiledEquations], dof: int) -> None:
+        self.one: _Block | None = None
+        self._file: ArrayFile | None = None
+        first = equations[0]
+        if len(equations) <= _BLOCK_FRAMES or isinstance(first, MotionEquations):
+            self.one = _Block.of(equations, dof)
+            return
+        # Searches read the rows twenty times: a block is one piece of the file.
+        self._file = ArrayFile(first.rows.file.folder)
+        self._blocks = [
+            [self._file.put(a) for a in _Block.of(equations[k : k + _BLOCK_FRAMES], dof).arrays]
+            for k in range(0, len(equations), _BLOCK_FRAMES)
+        ]
+
+    def __enter__(self) -> _Rows:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def blocks(self) -> Iterator[_Block]:
+        if self.one is not None:
+            yield self.one
+            return
+        for block in self._blocks:
+            yield _Block(*(np.asarray(a) for a in block))
+
+
+def _climbs(rows: _Rows, prior: Array) -> list[Array]:
+    """The motions (D,) that searches from the label end at, one for each of `_STARTS`."""
+    from std_toolkit.checks.measure.edge_sums import (  # loads numba
+        add_normal_equations,
+        climb,
+        next_motion,
+    )
+
+    zero = np.zeros(len(prior))
+    if rows.one is not None:
+        widths = np.array(_WIDTHS_PX)
+        return [climb(*rows.one.arrays, prior, zero, widths[k:], _STEPS) for k in _STARTS]
+    # All searches in one pass over the blocks: most of the time is reading.
+    motions = [zero for _ in _STARTS]
+    for turn, width in enumerate(np.repeat(_WIDTHS_PX, _STEPS)):
+        active = [k for k, start in enumerate(_STARTS) if turn >= _STEPS * start]
+        sums = {k: (np.zeros_like(prior), np.zeros_like(zero)) for k in active}
+        for block in rows.blocks():
+            for k in active:
+                add_normal_equations(*block.arrays, motions[k], width, *sums[k])
+        for k in active:
+            motions[k] = next_motion(*sums[k], prior)
+    return motions
+
+
+def _scores(rows: _Rows, prior: Array, motions: Sequence[Array]) -> list[float]:
+    """Log posteriors of motions (D,)."""
+    found = np.zeros(len(motions))
+    for block in rows.blocks():
+        found += [(block.share * block.responsibility(m)[1]).sum() for m in motions]
+    return [float(f - 0.5 * m @ prior @ m) for f, m in zip(found, motions, strict=True)]
+
+
+def _deviation(rows: _Rows, motion: Array) -> float:
+    """Robust standard deviation in px of the edges around the contour after a motion."""
+    squares = weights = 0.0
+    for block in rows.blocks():
+        e = block.offsets - (block.jacobian @ motion)[:, None]
+        weight = block.share[:, None] * block.responsibility(motion)[0]
+        squares += float((weight * e**2).sum())
+        weights += float(weight.sum())
+    # Truncation by the width makes the residual a little too small.
+    return max(1.2 * float(np.sqrt(squares / max(weights, 1e-9))), _SMALLEST_STD_PX)
+
+
+def _information(rows: _Rows, motion: Array, std: float) -> tuple[Array, tuple[float, float]]:
+    """Information matrix (D, D), and mean squares of the jacobian per metre and per radian."""
+    total: Array | float = 0.0
+    metres = radians = 0.0
+    count = 0
+    for block in rows.blocks():
+        J = block.jacobian
+        weight = block.share[:, None] * block.responsibility(motion)[0]
+        w = weight.sum(axis=1) / std**2
+        total = total + (J * w[:, None]).T @ J
+        metres += float((J[:, :3] ** 2).sum(axis=1).sum())
+        radians += float((J[:, 3:6] ** 2).sum(axis=1).sum())
+        count += len(J)
+    return np.asarray(total), (metres / count, radians / count)
+
+
+def _significant_part(vector: Array, covariance: Array) -> Array:
+    """The vector along the principal directions that contribute; zero if it is not significant."""
+    values, axes = np.linalg.eigh((covariance + covariance.T) / 2)
+    along = axes.T @ vector
+    deviations = along / np.sqrt(np.maximum(values, 1e-18))
+    if (deviations**2).sum() < _SIGNIFICANT_CHI2:
+        return np.zeros(3)
+    along[np.abs(deviations) < _CONTRIBUTES] = 0
+    return np.asarray(axes @ along)
+
+
+def _significant(vector: Array, covariance: Array) -> tuple[float, float]:
+    part = _significant_part(vector, covariance)
+    length = float(np.linalg.norm(part))
+    if length > 0:
+        unit = part / length
+        return length, float(np.sqrt(unit @ covariance @ unit))
+    return 0.0, float(np.sqrt(max(np.linalg.eigvalsh((covariance + covariance.T) / 2)[-1], 0)))

@@ -1,0 +1,133 @@
+"""The texture of each labelled object against near-symmetric turns of its label."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from std_toolkit.checks import result
+from std_toolkit.checks.measure.contours import mesh_problem
+from std_toolkit.geometry import SE3
+from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
+from std_toolkit.labels.refine_step import load_views, scene_object, texture_surface
+from std_toolkit.labels.texture.comparison import FRAMES, TextureComparison, compare_texture
+from std_toolkit.scene import Frame, Scene
+
+
+def compare_textures(
+    scene: Scene, frames: Sequence[Frame], *, only: Collection[int] | None = None
+) -> dict[int, TextureComparison]:
+    """Compare the texture of every labelled object with a few of the frames.
+
+    Args:
+        scene: the scene with its labels.
+        frames: registered frames whose images can be read.
+        only: ids of the objects to compare; None compares all.
+
+    Returns:
+        Comparisons by object id; objects without a label in the world or a readable mesh are
+        left out.
+    """
+    placed: dict[int, SE3] = {}
+    for item in scene.objects.objects:
+        pose = scene.T_world_obj(item.id)
+        if pose is not None and mesh_problem(scene, item.model) is None:
+            placed[item.id] = pose
+    objects = {i: scene_object(scene, i, pose) for i, pose in placed.items()}
+    cameras = [scene.camera(f) for f in frames]
+    poses = [T for f in frames if (T := scene.T_world_cam(f.id)) is not None]
+    assert len(poses) == len(frames), "only registered frames can be compared"
+    views: dict[int, RefineView] = {}
+    found = {}
+    for i, obj in objects.items():
+        if only is not None and i not in only:
+            continue
+        centre = obj.T_world_obj @ obj.centre
+        chosen = large_views(cameras, poses, centre, obj.radius, count=FRAMES)
+        for k in chosen:
+            if k not in views:
+                (views[k],) = load_views(scene, [frames[k]])
+        others = [o for j, o in objects.items() if j != i]
+        found[i] = _compare(scene, i, obj, others, [views[k] for k in chosen])
+    return found
+
+
+def _compare(
+    scene: Scene,
+    object_id: int,
+    obj: RefineObject,
+    others: Sequence[RefineObject],
+    views: Sequence[RefineView],
+) -> TextureComparison:
+    mesh = scene.mesh(scene.objects.object(object_id).model)
+    textured = texture_surface(scene, object_id, mesh)
+    return compare_texture(views, replace(obj, texture=textured), others)
+
+
+def with_texture(item: result.ObjectCheck, found: TextureComparison | None) -> result.ObjectCheck:
+    """The object's row with the comparison of its texture."""
+    if found is None:
+        return item
+    return msgspec.structs.replace(
+        item,
+        texture_verdict=found.verdict,
+        texture_score=_number(found.score),
+        texture_rival_score=_number(found.rival_score),
+        texture_frames=found.frames,
+        texture_text=found.text,
+    )
+
+
+def texture_sentence(item: result.ObjectCheck) -> str:
+    """The finding in words, such as "turned by 180 deg about z fits the texture better"."""
+    if not item.texture_verdict:
+        return ""
+    nan = float("nan")
+    return TextureComparison(item.texture_verdict, None, item.texture_text, nan, nan, 0).sentence()
+
+
+def texture_gate(objects: Sequence[result.ObjectCheck]) -> result.CheckGate:
+    """The gate that fails where the texture fits better after a turn."""
+    measured = [o for o in objects if o.texture_score is not None]
+    turned = [o for o in measured if o.texture_verdict == "turned"]
+    status = "open" if not measured else "fail" if turned else "pass"
+    return result.CheckGate(
+        key="texture",
+        title="labels whose texture fits better after a turn",
+        value=float(len(turned)) if measured else None,
+        limit=0.0,
+        rule="at most",
+        status=status,  # type: ignore[arg-type]
+        detail=", ".join(f"{o.name}: {texture_sentence(o)}" for o in turned),
+        advice="turn the object in the annotator until its texture agrees with the image, refine "
+        "and save it, and run `std-curate propagate` again",
+    )
+
+
+def texture_warnings(objects: Sequence[result.ObjectCheck]) -> list[result.CheckWarning]:
+    """One line per object whose turn neither its silhouette nor a texture determines."""
+    return [
+        result.CheckWarning(
+            severity="low",
+            about=item.name,
+            problem=texture_sentence(item),
+            advice="use a mesh with texture, or declare the symmetry of the model if both poses "
+            "are right",
+        )
+        for item in objects
+        if item.texture_verdict == "ambiguous"
+    ]
+
+
+def with_textures(
+    objects: Sequence[result.ObjectCheck], found: Mapping[int, TextureComparison]
+) -> list[result.ObjectCheck]:
+    """All rows with their comparisons."""
+    return [with_texture(o, found.get(o.object)) for o in objects]
+
+
+def _number(value: float) -> float | None:
+    return round(value, 3) if np.isfinite(value) else None

@@ -1,0 +1,149 @@
+"""Visual hull of the masks as a signed distance on a grid of voxels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.compiled import compiled
+from std_toolkit.geometry.ray_caster import import_open3d
+from std_toolkit.scanning.photos.views import Array, Grid, Mask, View, in_threads
+
+# Signed distances to outlines are kept in steps of 1/32 pixel.
+_STEPS = 32.0
+_MOST_ALLOWED = 8
+
+
+def outline_distance(mask: Mask) -> NDArray[np.int16]:
+    """Signed distance of pixel centres to the outline of a mask in 1/32 pixel, positive outside.
+
+    A side where the mask meets the border of the image is no outline: the object may go on there.
+    """
+    h, w = mask.shape
+    padded = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    inside = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside = cv2.distanceTransform(1 - padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # The outline lies half a pixel from the centres on both of its sides.
+    signed = np.where(padded > 0, 0.5 - inside, outside - 0.5)[1 : h + 1, 1 : w + 1]
+    return np.asarray(np.clip(np.rint(signed * _STEPS), -32000, 32000), dtype=np.int16)
+
+
+def hull_field(
+    views: Sequence[View], grid: Grid, *, allowed: int = 0, threads: int = 1
+) -> NDArray[np.float32]:
+    """Signed distance to the visual hull, metres, positive outside.
+
+    Args:
+        views: photos with masks.
+        grid: the voxels.
+        allowed: number of photos that may contradict a voxel.
+        threads: number of threads.
+
+    Returns:
+        Field in the shape of the grid. Voxels that no photo shows are outside.
+    """
+    P = np.stack([v.P for v in views])
+    focal = np.array([np.sqrt(v.camera.fx * v.camera.fy) for v in views])
+    sizes = np.array([v.image.shape[:2] for v in views], dtype=np.int64)
+    height, width = sizes.max(axis=0)
+    distance = np.zeros((len(views), height, width), np.int16)
+    for i, view in enumerate(views):
+        h, w = sizes[i]
+        distance[i, :h, :w] = outline_distance(view.possible)
+    field = np.empty(grid.shape, np.float32)
+    origin = np.array(grid.origin)
+    parts = np.array_split(np.arange(grid.shape[0]), min(grid.shape[0], 4 * threads))
+    in_threads(
+        lambda part: _carve(
+            P, focal, distance, sizes, origin, grid.step, int(part[0]), int(part[-1]) + 1,
+            min(allowed, _MOST_ALLOWED - 1), field,
+        ),
+        parts,
+        threads=threads,
+    )  # fmt: skip
+    return field
+
+
+@compiled
+def _carve(  # type: ignore[no-untyped-def]
+    P, focal, distance, sizes, origin, step, z0, z1, allowed, field
+) -> None:
+    """Write the (allowed + 1)-th largest signed distance over the views, for slices z0 to z1."""
+    largest = np.empty(8, np.float64)
+    for k in range(z0, z1):
+        z = origin[2] + k * step
+        for j in range(field.shape[1]):
+            y = origin[1] + j * step
+            for i in range(field.shape[2]):
+                x = origin[0] + i * step
+                for a in range(allowed + 1):
+                    largest[a] = -1e9
+                seen = 0
+                for v in range(P.shape[0]):
+                    w = P[v, 2, 0] * x + P[v, 2, 1] * y + P[v, 2, 2] * z + P[v, 2, 3]
+                    if w <= 1e-6:
+                        continue
+                    px = (P[v, 0, 0] * x + P[v, 0, 1] * y + P[v, 0, 2] * z + P[v, 0, 3]) / w
+                    py = (P[v, 1, 0] * x + P[v, 1, 1] * y + P[v, 1, 2] * z + P[v, 1, 3]) / w
+                    if px < 0 or py < 0 or px > sizes[v, 1] - 1.001 or py > sizes[v, 0] - 1.001:
+                        continue
+                    ix, iy = int(px), int(py)
+                    fx, fy = px - ix, py - iy
+                    d = distance[v]
+                    s = (1 - fy) * ((1 - fx) * d[iy, ix] + fx * d[iy, ix + 1]) + fy * (
+                        (1 - fx) * d[iy + 1, ix] + fx * d[iy + 1, ix + 1]
+                    )
+                    s = s / 32.0 * w / focal[v]
+                    seen += 1
+                    for a in range(allowed + 1):
+                        if s > largest[a]:
+                            for b in range(allowed, a, -1):
+                                largest[b] = largest[b - 1]
+                            largest[a] = s
+                            break
+                if seen <= allowed:
+                    field[k, j, i] = 4 * step
+                else:
+                    field[k, j, i] = largest[allowed]
+
+
+def surface_of(field: NDArray[np.float32], grid: Grid) -> tuple[Array, NDArray[np.int64]]:
+    """Closed zero surface of a field that is negative inside: vertices (V, 3), faces (F, 3).
+
+    The border of the grid counts as outside, so the surface is closed.
+    """
+    o3d = import_open3d()
+
+    closed = np.pad(field, 1, constant_values=np.float32(grid.step))
+    closed[closed == 0] = 1e-9
+    mesh = o3d.t.geometry.TriangleMesh.create_isosurfaces(o3d.core.Tensor.from_numpy(closed), [0.0])
+    if "positions" not in mesh.vertex or len(mesh.vertex.positions) == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    vertices = mesh.vertex.positions.numpy().astype(np.float64) - 1
+    faces = mesh.triangle.indices.numpy().astype(np.int64)
+    placed = np.asarray(grid.origin) + vertices * grid.step
+    a, b, c = (placed[faces[:, n]] for n in range(3))
+    if (a * np.cross(b, c)).sum() < 0:
+        faces = faces[:, ::-1]
+    return placed, faces
+
+
+def column_tops(inside: Mask) -> tuple[NDArray[np.int64], Mask]:
+    """Index (h, w) of the highest true voxel of each column, and which columns have one."""
+    index = len(inside) - 1 - inside[::-1].argmax(axis=0)
+    return index, np.asarray(inside.any(axis=0))
+
+
+def largest_component(inside: Mask) -> Mask:
+    """The largest connected part of the true voxels."""
+    from scipy.ndimage import label
+
+    labels, count = label(inside)
+    if count <= 1:
+        return inside
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return np.asarray(labels == sizes.argmax())

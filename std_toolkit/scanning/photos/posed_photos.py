@@ -1,0 +1,36 @@
+"""Photos of a scan with camera poses, as its stages pass them on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from std_toolkit.scanning.photos.photos import Photos
+from std_toolkit.scanning.photos.views import Array, View
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosedPhotos:
+    """Photos with camera poses, before the masks.
+
+    Attributes:
+        views: photos without lens distortion, in the frame of the board.
+        corners: of the board on the table, metres.
+        points: (P, 3) of the reconstruction, metres.
+        on_table: whether a board on a table was in sight.
+        facts: name and value of what was measured so far.
+        warnings: sentences on what to do better.
+        digest: of all inputs.
+        photos: the files.
+        found: tag corners in the photos, by name of the array.
+    """
+
+    views: list[View]
+    corners: Array
+    points: Array
+    on_table: bool
+    facts: dict[str, Any]
+    warnings: list[str]
+    digest: str
+    photos: Photos
+    found: dict[str, Array] = field(default_factory=dict)

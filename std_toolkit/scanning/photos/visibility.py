@@ -1,0 +1,123 @@
+"""What a photo shows of a surface: depth, normals, and the colours of places on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.settings import Settings, limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisibilitySettings(Settings):
+    """When a photo shows a place of a surface."""
+
+    flattest: float = limit(0.2, source="photos from more aside show a surface too compressed")
+    """smallest cosine between the normal and the ray"""
+
+
+def hull_depth(
+    view: View, caster: RayCaster, offset: Array, window: tuple[int, int, int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """z-depth (h, w), 0 beside the surface, and normals (h, w, 3) in the camera frame.
+
+    Args:
+        view: the photo.
+        caster: surface in world coordinates minus `offset`.
+        offset: (3,) metres.
+        window: x0, y0, x1, y1.
+    """
+    x0, y0, x1, y1 = window
+    u, v = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    local = view.camera.unproject(np.stack([u, v], axis=-1))
+    rays = np.empty((*u.shape, 6), np.float32)
+    rays[..., :3] = view.centre - offset
+    rays[..., 3:] = local @ view.T_world_cam.R.T
+    hits = caster.cast(rays)
+    depth = np.where(np.isfinite(hits.distance), hits.distance, 0).astype(np.float32)
+    normal = (hits.normal @ view.T_world_cam.R).astype(np.float32)
+    flip = (normal * local).sum(axis=-1) > 0
+    normal[flip] *= -1
+    return depth, normal
+
+
+def depth_of(view: View, caster: RayCaster) -> NDArray[np.float32]:
+    """(H, W) z-depth of the surface, the furthest of 3x3 pixels; infinite beside it."""
+    whole = (0, 0, view.camera.width, view.camera.height)
+    depth, _ = hull_depth(view, caster, np.zeros(3), whole)
+    far = np.where(depth > 0, depth, np.float32(np.inf))
+    return np.asarray(cv2.dilate(far, np.ones((3, 3), np.uint8)), np.float32)
+
+
+def seen_from(
+    view: View, places: Array, normals: Array, depth: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Colours (N, 3) of places in a photo and weights (N,), 0 where it does not show them."""
+    limits = VisibilitySettings.current()
+    uv, z = view.project(places)
+    h, w = view.image.shape[:2]
+    uv = np.where(np.isfinite(uv), uv, -10)
+    ray = places - view.centre
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    facing = -(ray * normals).sum(axis=1)
+    ok = (
+        (facing > limits.flattest) & (uv >= 1).all(axis=1) & (uv < np.array([w, h]) - 2).all(axis=1)
+    )
+    weight = np.zeros(len(places))
+    color = np.zeros((len(places), 3))
+    if not ok.any():
+        return color, weight
+    index = np.flatnonzero(ok)
+    x, y = (uv[index].T).astype(np.float32)
+    # The mask loses weight towards the outline, where the photo mixes object and background.
+    inside = _soft_mask(view)
+    # The surface that the photo shows there is not nearer.
+    column, row = np.rint(uv[index].T).astype(np.int64)
+    free = z[index] < depth[row, column] + 0.0008 + 0.002 * z[index]
+    value = _sample(view.image, x, y)
+    soft = _sample(inside, x, y)
+    weight[index] = free * facing[index] * soft * (view.camera.fx / z[index]) / 1000
+    color[index] = value
+    return color, weight
+
+
+def vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """(V, 3) unit normals, weighted by the areas of the faces."""
+    corners = vertices[faces]
+    of_face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    out = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(out, faces[:, k], of_face)
+    return np.asarray(out / (np.linalg.norm(out, axis=1, keepdims=True) + 1e-20))
+
+
+def _soft_mask(view: View) -> NDArray[np.float32]:
+    shown = view.shown if view.hidden is None else view.shown & ~view.hidden
+    distance = cv2.distanceTransform(shown.astype(np.uint8), cv2.DIST_L2, 3)
+    return np.clip((distance - 1.0) / 4.0, 0, 1).astype(np.float32)
+
+
+def _sample(image: Any, x: NDArray[np.float32], y: NDArray[np.float32]) -> Array:
+    # OpenCV's maps have at most 32767 rows.
+    columns = 4096
+    count = len(x)
+    padded = -(-count // columns) * columns
+    mx = np.zeros(padded, np.float32)
+    my = np.zeros(padded, np.float32)
+    mx[:count], my[:count] = x, y
+    out = []
+    for a in range(0, padded // columns, 30000):
+        part = slice(a * columns, min(padded, (a + 30000) * columns))
+        out.append(
+            cv2.remap(
+                image, mx[part].reshape(-1, columns), my[part].reshape(-1, columns),
+                cv2.INTER_LINEAR,
+            ).reshape(-1, *image.shape[2:])
+        )  # fmt: skip
+    return np.concatenate(out)[:count].astype(np.float64)
