@@ -14,6 +14,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import digest_file, digest_files, digest_of
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.artefact import Artefact
+from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions, Refinement
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.model import Gate, ScaleReport, without_derived
