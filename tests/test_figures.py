@@ -14,41 +14,6 @@ from tools.check_docs import help_page
 REPOSITORY = Path(__file__).resolve().parent.parent
 ROWS = figures.read_figures()
 
-# Guides whose figures are not all marked yet. This list only shrinks.
-TO_DO = frozenset(
-    {
-        "agreement.md",
-        "annotating-reference.md",
-        "annotating.md",
-        "benchmark.md",
-        "benchmark_data.md",
-        "bop.md",
-        "camera-poses.md",
-        "capture.md",
-        "checks.md",
-        "grasp_methods.md",
-        "grasping.md",
-        "ground-truth.md",
-        "labelling.md",
-        "meshes.md",
-        "methods.md",
-        "own-data.md",
-        "pose.md",
-        "pose_methods.md",
-        "pose_metrics.md",
-        "protocols.md",
-        "recipes.md",
-        "recording.md",
-        "restoring.md",
-        "scale.md",
-        "scanning.md",
-        "sensors.md",
-        "simulation.md",
-        "training.md",
-        "tutorial.md",
-    }
-)
-
 
 @pytest.mark.parametrize("path", figures.pages(), ids=lambda path: path.name)
 def test_a_page_shows_each_figure_as_measured(path: Path) -> None:
@@ -60,15 +25,7 @@ def test_every_number_with_a_unit_is_a_figure_or_a_fact(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if path.parent.name == "weights":  # what comes before is the exporter's record of the training
         text = text[text.index("## Scores of validation") :]
-    found = list(figures.unmarked(text))
-    if path.name in TO_DO:
-        assert found, f"{path.name} is done: take it off TO_DO"
-    else:
-        assert found == []
-
-
-def test_only_guides_that_exist_are_still_to_do() -> None:
-    assert TO_DO - {path.name for path in figures.pages()} == set()
+    assert list(figures.unmarked(text)) == []
 
 
 def test_every_row_is_shown() -> None:
