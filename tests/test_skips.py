@@ -44,18 +44,9 @@ def test_skips_fail_in_continuous_integration(tmp_path: Path, ci: str, outcome: 
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
+    words = "-q -W ignore -p tests.conftest -p no:cacheprovider --continue-on-collection-errors ."
     done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "tests.conftest",
-            "--continue-on-collection-errors",
-            "-p",
-            ".",
-        ],
+        [sys.executable, "-m", "pytest", *words.split()],
         cwd=tmp_path,
         env=environment | {"CI": ci, "PYTHONPATH": str(REPOSITORY)},
         capture_output=True,

@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.asset import (
-    NO_SYMMETRY,
-    TURN_Y,
-    Asset,
-    canonical_frame,
-    surface_points,
-    welded,
-)
+from sensors.assets import asset
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M, check_mesh_size
 from std_toolkit.geometry.ray_caster import RayCaster
@@ -55,7 +48,7 @@ def read_asset(
     unit: str | None = None,
     symmetry: Symmetry | None = None,
     up: str = "y",
-) -> Asset:
+) -> asset.Asset:
     """Read a mesh file as an asset.
 
     A surface that is not closed is used, with a warning: its volume is not defined.
@@ -85,7 +78,7 @@ def read_asset(
     if up == "z":
         vertices = vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
     try:
-        canonical, diagonal = canonical_frame(vertices, faces)
+        canonical, diagonal = asset.canonical_frame(vertices, faces)
     except ToolkitError as error:
         raise ToolkitError(error.problem, path=path, field=error.field) from error
     diagonal_m = None
@@ -94,11 +87,11 @@ def read_asset(
         check_mesh_size(trimesh.Trimesh(canonical * diagonal_m, faces, process=False), path=path)
     look = _surface_colors(parts)
     # Vertices duplicated at texture seams are one point of the surface.
-    places, corners, kept = welded(canonical, faces)
+    places, corners, kept = asset.welded(canonical, faces)
     mesh = trimesh.Trimesh(places, corners, process=False)
     if not mesh.is_watertight:
         logger.warning("%s: the surface is not closed; its volume is a guess", path)
-    return Asset(
+    return asset.Asset(
         id=asset_id,
         category=category,
         mesh=mesh,
@@ -201,13 +194,13 @@ def turn_symmetry(vertices: NDArray[np.floating], faces: NDArray[np.integer]) ->
         vertices: (V, 3) canonical.
         faces: (F, 3).
     """
-    points = surface_points(np.asarray(vertices, np.float64), faces, _SAMPLES)
+    points = asset.surface_points(np.asarray(vertices, np.float64), faces, _SAMPLES)
     if len(points) == 0:
-        return NO_SYMMETRY
+        return asset.NO_SYMMETRY
     caster = RayCaster(vertices, faces)
     for angle in _ANGLES:
         c, s = np.cos(angle), np.sin(angle)
         turned = points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
         if np.quantile(caster.distance(turned), 0.99) > _TOLERANCE:
-            return NO_SYMMETRY
-    return TURN_Y
+            return asset.NO_SYMMETRY
+    return asset.TURN_Y

@@ -30,22 +30,8 @@ from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.rendering import ground_truth, maps, placements, raycast
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
 from std_toolkit.rendering.mesh import RenderMesh
+from std_toolkit.scene import model as scene_model
 from std_toolkit.scene.document import safe_name
-from std_toolkit.scene.model import (
-    CameraModel,
-    CameraPoses,
-    ContinuousSymmetry,
-    Frame,
-    FramePose,
-    Frames,
-    Label,
-    Labels,
-    Model,
-    Object,
-    ObjectTable,
-    SceneInfo,
-    SymmetryModel,
-)
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -106,30 +92,34 @@ class ToolkitSceneWriter:
         scene, folder = self._received.scene, self._folder
         for obj in self._objects:
             write_mesh(folder / obj.model.mesh, obj.mesh)
-        info = SceneInfo(
+        info = scene_model.SceneInfo(
             name=scene.name,
-            cameras={"color": CameraModel.of(self._received.cameras.label)},
+            cameras={"color": scene_model.CameraModel.of(self._received.cameras.label)},
             source=f"{SOURCE}:{scene.sensor}",
         )
         names = [(i, frame_name(i)) for i in range(scene.frames)]
-        frames = Frames(
+        frames = scene_model.Frames(
             frames=[
-                Frame(id=i, name=name, color=f"color/{name}.png", depth=f"depth/{name}.exr")
+                scene_model.Frame(
+                    id=i, name=name, color=f"color/{name}.png", depth=f"depth/{name}.exr"
+                )
                 for i, name in names
             ]
         )
         written = Scene.create(folder, info, frames, _object_table(self._objects))
         written.save_poses(
-            CameraPoses(
+            scene_model.CameraPoses(
                 frames=[
-                    FramePose(frame=i, status="registered", T_world_cam=self._T_world_cam(i).flat())
+                    scene_model.FramePose(
+                        frame=i, status="registered", T_world_cam=self._T_world_cam(i).flat()
+                    )
                     for i, _ in names
                 ],
                 source=SOURCE,
                 notes=["exact poses of the simulation, in metres"],
             )
         )
-        written.save_labels(Labels(labels=[self._label(obj) for obj in self._objects]))
+        written.save_labels(scene_model.Labels(labels=[self._label(obj) for obj in self._objects]))
         for frame, rows in sorted(self._rows.items()):
             self._write_info(written, frame, rows)
         documents.write_document(record_path(folder), scene_record(self._received))
@@ -165,10 +155,10 @@ class ToolkitSceneWriter:
             )
         return rows
 
-    def _label(self, obj: MetricObject) -> Label:
+    def _label(self, obj: MetricObject) -> scene_model.Label:
         """The exact pose."""
         T_world_obj = obj.item.T_world_obj
-        return Label(
+        return scene_model.Label(
             object=obj.item.instance_id,
             frame=0,
             T_cam_obj=(self._T_world_cam(0).inverse() @ T_world_obj).flat(),
@@ -234,11 +224,11 @@ def read_simulation(scene: Path) -> SceneRecord:
     return documents.read_document(record_path(scene), SceneRecord)
 
 
-def _object_table(entries: list[MetricObject]) -> ObjectTable:
-    return ObjectTable(
+def _object_table(entries: list[MetricObject]) -> scene_model.ObjectTable:
+    return scene_model.ObjectTable(
         models=[t.model for t in entries],
         objects=[
-            Object(
+            scene_model.Object(
                 id=t.item.instance_id,
                 name=t.name,
                 model=t.model.id,
@@ -261,7 +251,7 @@ class MetricObject:
 
     item: SimulatedObject
     name: str
-    model: Model
+    model: scene_model.Model
     mesh: trimesh.Trimesh
 
 
@@ -289,13 +279,15 @@ def metric_objects(scene: SimulatedScene) -> list[MetricObject]:
     return found
 
 
-def metric_symmetry(symmetry: Symmetry, scale_m: float) -> SymmetryModel:
+def metric_symmetry(symmetry: Symmetry, scale_m: float) -> scene_model.SymmetryModel:
     """Symmetries of the canonical mesh, scaled to metres."""
     discrete = [SE3.from_matrix(T) for T in symmetry.discrete]
-    return SymmetryModel(
+    return scene_model.SymmetryModel(
         discrete=[SE3(T.R, scale_m * T.t).flat() for T in discrete],
         continuous=[
-            ContinuousSymmetry(axis=list(axis), offset=(scale_m * np.asarray(offset)).tolist())
+            scene_model.ContinuousSymmetry(
+                axis=list(axis), offset=(scale_m * np.asarray(offset)).tolist()
+            )
             for axis, offset in symmetry.continuous
         ],
     )

@@ -24,15 +24,8 @@ from sensors.materials.material_draw import draw_material
 from sensors.render.color_image import ColorResponse, denoise, develop
 from sensors.render.sim_renderer import SIM_RENDERERS, LoadedScene, RenderOptions
 from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh, TruthCaster
+from sensors.simulation import turntable_objects
 from sensors.simulation.options import TurntableOptions
-from sensors.simulation.turntable_objects import (
-    GAP_M,
-    OBJECT_ID,
-    mesh_object,
-    sheet_objects,
-    standing_pose,
-    turntable_material,
-)
 from sensors.viewpoints.views import look_at
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import load_mesh
@@ -131,7 +124,7 @@ class Turntable:
     def __init__(self, options: TurntableOptions) -> None:
         self._o = options
         mesh = load_mesh(options.mesh, unit=options.mesh_unit)
-        self.T_world_obj = standing_pose(mesh, options)
+        self.T_world_obj = turntable_objects.standing_pose(mesh, options)
         self.sheet = make_board_sheet(options.paper)
         focal = options.width / 2 / np.tan(np.deg2rad(options.fov_deg) / 2)
         self.camera = Camera(
@@ -159,13 +152,17 @@ class Turntable:
 
     def subject(self) -> SceneObject:
         """The object on the board, with its material and texture."""
-        return mesh_object(self._mesh, turntable_material(self._o), self.T_world_obj)
+        return turntable_objects.mesh_object(
+            self._mesh, turntable_objects.turntable_material(self._o), self.T_world_obj
+        )
 
     def load(self) -> None:
         """Prepare renderer and scene."""
         floor = self._table()
         self._floor = floor
-        scene = SimScene((floor, *sheet_objects(self.sheet), self.subject()), self._environment)
+        scene = SimScene(
+            (floor, *turntable_objects.sheet_objects(self.sheet), self.subject()), self._environment
+        )
         self._caster = TruthCaster(scene)
         self._scene: LoadedScene = SIM_RENDERERS.get("mitsuba")().load(scene)
         self._exposure: float | None = None
@@ -194,7 +191,7 @@ class Turntable:
             exposure=self._fixed_exposure(),
             response=ColorResponse(gain=o.noise),
         )
-        mask = np.where(maps.mask == OBJECT_ID, 255, 0).astype(np.uint8)
+        mask = np.where(maps.mask == turntable_objects.OBJECT_ID, 255, 0).astype(np.uint8)
         write_png(o.out / f"truth/masks/{index:03d}.png", mask)
         # Last: a photo that exists is complete.
         write_color(self.photo(index), image)
@@ -264,7 +261,7 @@ class Turntable:
         return SceneObject(
             0,
             SurfaceMesh(vertices, faces),
-            SE3(np.eye(3), np.array([0, 0, -2 * GAP_M])),
+            SE3(np.eye(3), np.array([0, 0, -2 * turntable_objects.GAP_M])),
             wood,
         )
 

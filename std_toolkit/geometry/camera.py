@@ -1,8 +1,9 @@
-"""Cameras and z-depth maps. Pixel centres are at integers.
+"""Cameras and z-depth maps. Pixel centres are at integers; depth is in metres, 0 = no measurement.
 
-Points are projected and pixels unprojected by `Camera` only, with a lens of `camera_models`.
-Compiled and torch loops over pinholes take fx, fy, cx and cy. Depth maps: z-depth in metres, 0 = no
-measurement.
+`Camera` projects points, unprojects pixels and makes rays, with a lens of `camera_models`. Others
+take fx, fy, cx and cy of a pinhole for a reason: compiled loops (alignment of depth, silhouettes,
+patch match), torch (`benchmark.methods.torch_camera`), renderers, derivatives, and steps of
+optimisers that clamp the depth (`labels.propagate`). BOP's FISHEYE624 is scored beyond 90 degrees.
 """
 
 from __future__ import annotations

@@ -305,23 +305,20 @@ def _camera_info(reader: Any, color: ImageTopic, source: Path) -> tuple[Intrinsi
 def _intrinsics_of(info: Any, color: ImageTopic, source: Path, topic: str) -> Intrinsics:
     k = np.asarray(getattr(info, "k", getattr(info, "K", None)), float).reshape(3, 3)
     d = [float(x) for x in getattr(info, "d", getattr(info, "D", ()))]
-    is_rectified = "rect" in color.base.rpartition("/")[2]  # image_rect_color
-    if is_rectified:
+    if is_rectified := "rect" in color.base.rpartition("/")[2]:  # image_rect_color
         k = np.asarray(getattr(info, "p", getattr(info, "P", None)), float).reshape(3, 4)[:, :3]
         d = []
-    model = "opencv"
-    if not is_rectified:
-        try:
-            stated = {"distortion_model": info.distortion_model}
-            model = model_of_file(stated, has_coefficients=any(d))
-        except ToolkitError as error:
-            raise ToolkitError(
-                "a lens model that is not supported",
-                path=source,
-                field=topic,
-                value=info.distortion_model,
-                hint="record the rectified images (image_rect_color)",
-            ) from error
+    try:
+        stated = {} if is_rectified else {"distortion_model": info.distortion_model}
+        model = model_of_file(stated, has_coefficients=any(d))
+    except ToolkitError as error:
+        raise ToolkitError(
+            "a lens model that is not supported",
+            path=source,
+            field=topic,
+            value=info.distortion_model,
+            hint="record the rectified images (image_rect_color)",
+        ) from error
     size = (int(info.width), int(info.height))
     return Intrinsics(
         float(k[0, 0]),

@@ -14,6 +14,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import digest_file, digest_files, digest_of
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.artefact import Artefact
+from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions, Refinement
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.model import Gate, ScaleReport, without_derived
@@ -160,7 +161,16 @@ def _known_poses(scene: Scene, options: PoseOptions) -> KnownPoses | None:
         return None
     from std_toolkit.poses.known_cameras import read_known_poses
 
-    return read_known_poses(options.known, scene.frames)
+    known = read_known_poses(options.known, scene.frames)
+    models = {lens.model for lens in known.filed.lenses if lens is not None}
+    if models != {"opencv"} and models and not scene.info.recorded_lenses:
+        logger.warning(
+            "%s states a %s lens, which the images of the scene are taken not to have; "
+            "`std-curate import --cameras` undistorts images",
+            known.filed.path,
+            ", ".join(sorted(models)),
+        )
+    return known
 
 
 def _forget_world_poses(scene: Scene) -> None:

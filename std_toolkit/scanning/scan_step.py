@@ -300,7 +300,7 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
         names = ", ".join(found.paths[i].name for i in lost[:6])
         warnings.append(f"{len(lost)} photos match no other and show no board: {names}")
         logger.warning("%s", warnings[-1])
-    if len(views) < photo_files.MIN_PHOTOS:
+    if len(views) < photo_files.PhotoSettings.current().fewest_photos:
         raise ToolkitError(
             f"{len(views)} of {len(found.paths)} photos have a pose",
             hint="keep most of the board in view and move by small steps",

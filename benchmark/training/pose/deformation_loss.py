@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
 from benchmark.data.frame import BACKGROUND
-from benchmark.methods.pointnet.chamfer import chamfer, one_way
+from benchmark.methods.pointnet.grouping import chamfer, one_way
 from benchmark.methods.pose.deformation import Deformed
 from benchmark.methods.pose.segmented import (
     Crop,

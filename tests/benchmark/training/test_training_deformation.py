@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.methods.pointnet.chamfer import chamfer, one_way
+from benchmark.methods.pointnet.grouping import chamfer, one_way
 from benchmark.methods.pose.deformation import Deformed
 from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.methods.weights import save_weights
