@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result
-from std_toolkit.checks.gates.judge import judge_scene
+from std_toolkit.checks.gates.judge import all_gates, judge_scene
 from std_toolkit.checks.inject.inject import inject_faults
 from std_toolkit.checks.measure import aggregate, coverage, object_sizes, residuals
 from std_toolkit.checks.measure.array_file import ArrayFile
@@ -64,7 +64,11 @@ def run_check(
         frames = spread(scene.registered_frames(), options.max_frames)
         fingerprint = scene_fingerprint(scene)
         digest = document.digest_of(
-            fingerprint, asdict(options), version("plotly"), _file_digests(scene, frames)
+            fingerprint,
+            asdict(options),
+            [gate.key for gate in all_gates()],
+            version("plotly"),
+            _file_digests(scene, frames),
         )
         if document.is_fresh(scene.root, STEP, digest):
             logger.info("check: nothing changed, the report is up to date")
@@ -151,7 +155,7 @@ def _check(
     parts = PageParts(
         view3d, figures.sky_figure(_sky(scene, report.objects, up), report.objects), pictures
     )
-    return report, render_page(report, parts, options)
+    return report, render_page(report, parts)
 
 
 def _drawing_orders(

@@ -10,9 +10,12 @@ from typing import Any, Literal
 import msgspec
 
 from std_toolkit.checks.detectability import Detectability
+from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.model import Count, Document, ObjectId, ScaleEstimate, ScaleReport
 
 Severity = Literal["high", "medium", "low"]
+
+Verdict = Literal["good", "doubtful", "bad", "open"]
 
 Number = float | None
 
@@ -37,6 +40,7 @@ class CheckGate(Document, frozen=True, kw_only=True):
         key: stable name, such as "edges".
         title: what is measured, in words.
         value: null if it could not be measured; `status` is then "open".
+        deviation: standard deviation of the value, if known.
         limit: limit in the same unit.
         rule: "at least" or "at most" the limit.
         unit: "", "px", "mm", "%" (value and limit are then in percent).
@@ -48,12 +52,29 @@ class CheckGate(Document, frozen=True, kw_only=True):
     key: str
     title: str
     value: Number
+    deviation: Number = None
     limit: float
     rule: Literal["at least", "at most"]
     unit: str = ""
     status: Literal["pass", "fail", "open"]
     detail: str = ""
     advice: str = ""
+
+
+class GateFinding(Document, frozen=True, kw_only=True):
+    """What one gate says of one object.
+
+    Attributes:
+        gate: its key.
+        value: of the object, in the unit of the gate; null if it was not measured.
+        verdict: "open" if what was not measured leaves the verdict open.
+        exempt: why the object cannot fail the gate of the scene, or "".
+    """
+
+    gate: str
+    value: Number = None
+    verdict: Verdict
+    exempt: str = ""
 
 
 class CheckWarning(Document, frozen=True, kw_only=True):
@@ -160,7 +181,8 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             turn, -1..1.
         texture_frames: number of frames that were compared.
         texture_text: that turn, such as "turned by 180 deg about z".
-        verdict: "good", "doubtful", "bad" or "open" (no evidence).
+        verdict: the worst of its gates: "good", "doubtful", "bad" or "open" (no evidence).
+        gates: what each gate says of it.
         frames: values of single frames.
     """
 
@@ -215,7 +237,8 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
     texture_rival_score: Number = None
     texture_frames: Count = 0
     texture_text: str = ""
-    verdict: Literal["good", "doubtful", "bad", "open"] = "open"
+    verdict: Verdict = "open"
+    gates: list[GateFinding] = msgspec.field(default_factory=list)
     frames: list[ObjectFrameCheck] = msgspec.field(default_factory=list)
 
 
@@ -345,6 +368,17 @@ class CheckReport(Document, frozen=True, kw_only=True):
     limits: dict[str, float]
     detectability: Detectability | None = None
 
+    def gate(self, key: str) -> CheckGate:
+        """The row of a gate.
+
+        Raises:
+            ToolkitError: the report has no such gate.
+        """
+        for row in self.gates:
+            if row.key == key:
+                return row
+        raise ToolkitError("no such gate", field="gate", value=key)
+
     def failed_gates(self) -> list[CheckGate]:
         """The gates that failed, in order."""
         return [g for g in self.gates if g.status == "fail"]
@@ -354,7 +388,9 @@ def objects_csv(report: CheckReport) -> bytes:
     """One row per object; lists become one column per number."""
 
     rows = [_flat(msgspec.to_builtins(item)) for item in report.objects]
-    names = [f.name for f in msgspec.structs.fields(ObjectCheck) if f.name != "frames"]
+    names = [
+        f.name for f in msgspec.structs.fields(ObjectCheck) if f.name not in ("gates", "frames")
+    ]
     return _csv(rows, [part for name in names for part in _PARTS.get(name, (name,))])
 
 
@@ -366,7 +402,7 @@ def frames_csv(report: CheckReport) -> bytes:
 
 
 def _flat(row: dict[str, Any]) -> dict[str, Any]:
-    row.pop("frames")
+    del row["gates"], row["frames"]
     for name, parts in _PARTS.items():
         values = row.pop(name) or [None] * len(parts)
         row |= dict(zip(parts, values, strict=True))

@@ -1,26 +1,50 @@
-"""The report of the check from the measurements of the frames, without pictures."""
+"""The judge: the report of the check from the measurements of the frames, without pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result
-from std_toolkit.checks.gates import report_warnings
-from std_toolkit.checks.gates.fault_gates import fault_gates
-from std_toolkit.checks.gates.frame_faults import find_frame_faults
-from std_toolkit.checks.gates.gates import evaluate_gates, evaluate_object, scale_share
-from std_toolkit.checks.gates.motion_checks import motion_gates, with_motions
+from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
+from std_toolkit.checks.gates.gate import Gate, Measured, ordered, worst_verdict
+from std_toolkit.checks.gates.report_warnings import find_warnings
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
 from std_toolkit.checks.measure.alignment import common_depth_shift
+from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.labels.texture.comparison import TextureComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import ScaleEstimate
+
+_FAMILIES = (
+    *poses.GATES,
+    *contour.GATES,
+    *depth.GATES,
+    *frames.GATES,
+    *motion.GATES,
+    *texture.GATES,
+)
+_added: list[Gate] = []
+
+
+def all_gates() -> tuple[Gate, ...]:
+    """The gates of all families and the registered ones, in the order of the report."""
+    return ordered((*_FAMILIES, *_added))
+
+
+def register_gate(gate: Gate) -> None:
+    """Add a gate from outside of this package, for the running process.
+
+    Raises:
+        ToolkitError: a gate has this key.
+    """
+    ordered((*all_gates(), gate))
+    _added.append(gate)
 
 
 def judge_scene(
@@ -52,27 +76,62 @@ def judge_scene(
     objects = with_motions(scene, objects, observed, options)
     summary = _summary(scene, objects, rows, observed, bias)
     summary = msgspec.structs.replace(summary, sizes=sizes)
-    objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
-    faults = find_frame_faults(objects, rows, options)
-    objects, rows = faults.objects, faults.frames
-    gates = evaluate_gates(summary, objects, rows, scene.poses, options)
-    gates += fault_gates(faults, summary, options)
-    gates += motion_gates(objects, options)
-    gates += [textures.texture_gate(objects), *_mesh_gate(scene)]
-    failed = [g for g in gates if g.status == "fail"]
-    return result.CheckReport(
-        scene=scene.info.name,
-        passed=not failed,
-        verdict=_verdict(failed, summary),
-        summary=summary,
-        gates=gates,
-        warnings=report_warnings.find_warnings(summary, gates, objects, rows, materials, options),
-        missing=_missing(scene, summary, observed),
-        objects=objects,
-        frames=rows,
-        materials=materials,
-        limits={k: float(v) for k, v in asdict(options).items()},
+    report = judge_rows(
+        Measured(
+            summary=summary,
+            objects=objects,
+            frames=rows,
+            options=options,
+            materials=materials,
+            poses=scene.poses,
+            unreadable=_unreadable_meshes(scene),
+        )
     )
+    return msgspec.structs.replace(
+        report, scene=scene.info.name, missing=_missing(scene, summary, observed)
+    )
+
+
+def judge_rows(measured: Measured) -> result.CheckReport:
+    """The report from the tables of the objects and frames: faults, gates, verdicts, warnings.
+
+    Args:
+        measured: what was measured, without the faults of frames.
+    """
+    faults = frames.find_frame_faults(measured.objects, measured.frames, measured.options)
+    measured = replace(
+        measured,
+        objects=faults.objects,
+        frames=faults.frames,
+        camera=faults.camera,
+        moved=faults.moved,
+        unfit=faults.unfit,
+    )
+    gates = all_gates()
+    objects = [_with_verdict(o, gates, measured) for o in measured.objects]
+    found = [(gate, gate.evaluate(measured)) for gate in gates]
+    rows = [row for gate, row in found if row.value is not None or not gate.optional]
+    failed = [row for row in rows if row.status == "fail"]
+    return result.CheckReport(
+        scene="",
+        passed=not failed,
+        verdict=_verdict(failed, measured.summary),
+        summary=measured.summary,
+        gates=rows,
+        warnings=find_warnings(gates, rows, measured),
+        missing=[],
+        objects=objects,
+        frames=list(measured.frames),
+        materials=list(measured.materials),
+        limits={k: float(v) for k, v in asdict(measured.options).items()},
+    )
+
+
+def _with_verdict(
+    item: result.ObjectCheck, gates: Sequence[Gate], measured: Measured
+) -> result.ObjectCheck:
+    found = [f for gate in gates if (f := gate.finding(item, measured)) is not None]
+    return msgspec.structs.replace(item, gates=found, verdict=worst_verdict(found))
 
 
 def _summary(
@@ -136,26 +195,13 @@ def _missing(
     return found
 
 
-def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
-    problems = {
-        o.name: p
+def _unreadable_meshes(scene: Scene) -> dict[int, str]:
+    return {
+        o.id: problem
         for o in scene.objects.objects
-        if scene.T_world_obj(o.id) is not None and (p := contours.mesh_problem(scene, o.model))
+        if scene.T_world_obj(o.id) is not None
+        and (problem := contours.mesh_problem(scene, o.model))
     }
-    if not problems:
-        return []
-    return [
-        result.CheckGate(
-            key="meshes",
-            title="labelled objects whose mesh cannot be read",
-            value=float(len(problems)),
-            limit=0.0,
-            rule="at most",
-            status="fail",
-            detail=", ".join(problems),
-            advice="; ".join(problems.values()),
-        )
-    ]
 
 
 def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:

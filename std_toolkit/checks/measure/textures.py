@@ -89,39 +89,6 @@ def texture_sentence(item: result.ObjectCheck) -> str:
     return TextureComparison(item.texture_verdict, None, item.texture_text, nan, nan, 0).sentence()
 
 
-def texture_gate(objects: Sequence[result.ObjectCheck]) -> result.CheckGate:
-    """The gate that fails where the texture fits better after a turn."""
-    measured = [o for o in objects if o.texture_score is not None]
-    turned = [o for o in measured if o.texture_verdict == "turned"]
-    status = "open" if not measured else "fail" if turned else "pass"
-    return result.CheckGate(
-        key="texture",
-        title="labels whose texture fits better after a turn",
-        value=float(len(turned)) if measured else None,
-        limit=0.0,
-        rule="at most",
-        status=status,  # type: ignore[arg-type]
-        detail=", ".join(f"{o.name}: {texture_sentence(o)}" for o in turned),
-        advice="turn the object in the annotator until its texture agrees with the image, refine "
-        "and save it, and run `std-curate propagate` again",
-    )
-
-
-def texture_warnings(objects: Sequence[result.ObjectCheck]) -> list[result.CheckWarning]:
-    """One line per object whose turn neither its silhouette nor a texture determines."""
-    return [
-        result.CheckWarning(
-            severity="low",
-            about=item.name,
-            problem=texture_sentence(item),
-            advice="use a mesh with texture, or declare the symmetry of the model if both poses "
-            "are right",
-        )
-        for item in objects
-        if item.texture_verdict == "ambiguous"
-    ]
-
-
 def with_textures(
     objects: Sequence[result.ObjectCheck], found: Mapping[int, TextureComparison]
 ) -> list[result.ObjectCheck]:

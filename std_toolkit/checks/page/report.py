@@ -12,7 +12,6 @@ from std_toolkit.checks.page.scale_section import scale_fact, scale_table
 from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
-from std_toolkit.options import CheckOptions
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class PageParts:
 _TEXT = Column(heading="", numeric=False)
 
 
-def render_page(report: result.CheckReport, parts: PageParts, options: CheckOptions) -> str:
+def render_page(report: result.CheckReport, parts: PageParts) -> str:
     """The report as HTML."""
     word, _, rest = report.verdict.partition(": ")
     return page.Page(
@@ -46,7 +45,7 @@ def render_page(report: result.CheckReport, parts: PageParts, options: CheckOpti
         sections=[
             page.Section("gates", "Gates", [_gates(report)]),
             page.Section("warnings", "Warnings", [_warnings(report)]),
-            page.Section("labels", "Labels", label_sections.label_blocks(report, options)),
+            page.Section("labels", "Labels", label_sections.label_blocks(report)),
             page.Section(
                 "inject",
                 "Smallest faults caught",
@@ -55,7 +54,7 @@ def render_page(report: result.CheckReport, parts: PageParts, options: CheckOpti
             page.Section(
                 "overlays", "Overlays", label_sections.overlay_blocks(report, parts.pictures)
             ),
-            page.Section("scene", "Scene", _scene(report, parts, options)),
+            page.Section("scene", "Scene", _scene(report, parts)),
             page.Section("coverage", "Coverage", _coverage(report, parts)),
             page.Section("depth", "Sensor depth", _depth(report, parts)),
             page.Section(
@@ -122,7 +121,7 @@ def _warnings(report: result.CheckReport) -> page.Block:
     return Table(columns=[_TEXT, *(Column(heading=h, numeric=False) for h in heads)], rows=rows)
 
 
-def _scene(report: result.CheckReport, parts: PageParts, options: CheckOptions) -> list[page.Block]:
+def _scene(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
     blocks: list[page.Block] = []
     if parts.view3d is not None:
         blocks += [
@@ -135,7 +134,7 @@ def _scene(report: result.CheckReport, parts: PageParts, options: CheckOptions) 
     sources = scale_table(report)
     if sources is not None:
         blocks.append(sources)
-    figure = figures.registration_figure(report, limit_px=options.max_reprojection_px)
+    figure = figures.registration_figure(report, limit_px=report.gate("reprojection").limit)
     if figure is not None:
         blocks += [page.Heading("Camera poses over frames"), page.Plot("registration", figure)]
     return blocks
