@@ -28,22 +28,20 @@ _LARGE_OFFSET_MM = 3.0
 
 def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
     """Whether the object's outline has enough image edges."""
-    return item.edge_px is not None and (item.edge_support or 0) >= options.min_edge_support
+    enough = (item.value("edge_support") or 0) >= options.min_edge_support
+    return enough and item.value("edge_px") is not None
 
 
 def is_uninformative(item: ObjectCheck) -> bool:
     """Whether random contours nearby are as close to image edges as the label."""
-    return (
-        item.edge_px is not None
-        and item.edge_chance_px is not None
-        and item.edge_px > CHANCE_PART * item.edge_chance_px
-    )
+    edge, chance = item.value("edge_px"), item.value("edge_chance_px")
+    return edge is not None and chance is not None and edge > CHANCE_PART * chance
 
 
 def shift_px(item: ObjectCheck, options: CheckOptions) -> Number:
     """The shift of the label against the image, if enough frames have a clear one."""
-    reliable = has_edges(item, options) and (item.shift_share or 0) >= ENOUGH_SHIFTS
-    return item.shift_px if reliable else None
+    reliable = has_edges(item, options) and (item.value("shift_share") or 0) >= ENOUGH_SHIFTS
+    return item.value("shift_px") if reliable else None
 
 
 def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
@@ -52,7 +50,7 @@ def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
     A wrong label is close to edges of other surfaces, especially in a textured scene. A small
     edge distance alone is therefore no evidence.
     """
-    if item.confirmed and item.motion_mm is not None:
+    if item.text("confirmed") == "yes" and item.value("motion_mm") is not None:
         return True
     if not has_edges(item, options):
         return False
@@ -67,7 +65,7 @@ def _labelled(item: ObjectCheck, measured: Measured) -> Reading:
 def _edges(item: ObjectCheck, measured: Measured) -> Reading | None:
     if not has_edges(item, measured.options):
         return None
-    return _pixels(item, item.edge_px, measured.options.max_edge_px, measured)
+    return _pixels(item, item.value("edge_px"), measured.options.max_edge_px, measured)
 
 
 def _shift(item: ObjectCheck, measured: Measured) -> Reading | None:
@@ -83,8 +81,11 @@ def _pixels(item: ObjectCheck, value: Number, limit: float, measured: Measured) 
 
 
 def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
-    reliable = item.drift_frames >= FEWEST_DRIFT_FRAMES and has_edges(item, measured.options)
-    return Reading(item.drift_px) if reliable and item.material != "transparent" else None
+    drift = item.entry("drift_px")
+    if drift is None or item.material == "transparent":
+        return None
+    reliable = drift.frames >= FEWEST_DRIFT_FRAMES and has_edges(item, measured.options)
+    return Reading(drift.value) if reliable else None
 
 
 def _evidence(item: ObjectCheck, measured: Measured) -> Reading | None:
@@ -113,24 +114,26 @@ def _unpropagated(measured: Measured) -> Iterable[CheckWarning]:
 def _offsets(measured: Measured) -> Iterable[CheckWarning]:
     """The displacement by the shifts, where the motion was not measured."""
     for item in measured.seen:
-        if item.motion_mm is not None or not has_edges(item, measured.options):
+        if item.value("motion_mm") is not None or not has_edges(item, measured.options):
             continue
-        if (item.offset_norm_mm or 0) > _LARGE_OFFSET_MM:
+        offset = item.value("offset_mm") or 0
+        if offset > _LARGE_OFFSET_MM:
             yield CheckWarning(
                 severity="medium",
                 about=item.name,
-                problem=f"all frames together place it {item.offset_norm_mm:.1f} mm from its label",
+                problem=f"all frames together place it {offset:.1f} mm from its label",
                 advice="run `std-curate propagate --refine`",
             )
 
 
 def _weak_directions(measured: Measured) -> Iterable[CheckWarning]:
     for item in measured.seen:
-        if item.weak_direction:
+        direction = item.text("label_std_mm")
+        if direction:
             yield CheckWarning(
                 severity="low",
                 about=item.name,
-                problem=item.weak_direction,
+                problem=direction,
                 advice="annotate it in a view perpendicular to that direction",
             )
 
@@ -138,19 +141,21 @@ def _weak_directions(measured: Measured) -> Iterable[CheckWarning]:
 def _weak_evidence(measured: Measured) -> Iterable[CheckWarning]:
     for item in measured.seen:
         if not has_edges(item, measured.options):
+            share = 100 * (item.value("edge_support") or 0)
             yield CheckWarning(
                 severity="medium",
                 about=item.name,
-                problem=f"only {100 * (item.edge_support or 0):.0f} % of its contour is near an "
+                problem=f"only {share:.0f} % of its contour is near an "
                 "image edge: the image weakly supports the label",
                 advice="inspect its close-ups; annotate it in a frame with more contrast",
             )
         elif not is_confirmed(item, measured.options):
+            edge, chance = item.value("edge_px"), item.value("edge_chance_px")
             yield CheckWarning(
                 severity="medium",
                 about=item.name,
-                problem=f"its edge distance, {item.edge_px:.1f} px, is no better than chance "
-                f"({item.edge_chance_px:.1f} px): the images do not support the label",
+                problem=f"its edge distance, {edge:.1f} px, is no better than chance "
+                f"({chance:.1f} px): the images do not support the label",
                 advice="inspect its close-ups",
             )
 
@@ -197,7 +202,7 @@ GATES = (
     ObjectGate(
         key="covariance",
         title="standard deviation of a label, weakest direction, worst object",
-        measure=lambda item, _: Reading(item.label_std_mm),
+        measure=lambda item, _: Reading(item.value("label_std_mm")),
         exempt=unlabelled,
         limit=lambda options: options.max_label_std_mm,
         unit="mm",

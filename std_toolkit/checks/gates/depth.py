@@ -36,9 +36,10 @@ def scale_share(summary: SceneSummary) -> float:
 
 def depth_excess_mm(item: ObjectCheck, share: float) -> Number:
     """Part of an object's depth residual that the scale does not explain, in mm."""
-    if item.depth_mm is None or item.distance_m is None:
+    residual, distance = item.value("depth_mm"), item.value("distance_m")
+    if residual is None or distance is None:
         return None
-    return round(max(0.0, abs(item.depth_mm) - 1000 * share * item.distance_m), 2)
+    return round(max(0.0, abs(residual) - 1000 * share * distance), 2)
 
 
 def _depth_detail(found: Readings, measured: Measured) -> str:

@@ -34,11 +34,14 @@ def is_small(item: ObjectCheck, options: CheckOptions) -> bool:
     """
     if is_another_shape(item, options):
         return True
+    if item.text("confirmed") != "yes":
+        return False
+    mm, deg = item.entry("motion_mm"), item.entry("motion_deg")
     return (
-        item.confirmed is True
-        and item.motion_mm is not None
-        and max(item.motion_mm or 0, item.motion_std_mm or 0) <= options.max_motion_mm
-        and max(item.motion_deg or 0, item.motion_std_deg or 0) <= options.max_motion_deg
+        mm is not None
+        and deg is not None
+        and max(mm.value or 0, mm.std or 0) <= options.max_motion_mm
+        and max(deg.value or 0, deg.std or 0) <= options.max_motion_deg
     )
 
 
@@ -48,10 +51,10 @@ def is_another_shape(item: ObjectCheck, options: CheckOptions) -> bool:
     A box that bulges or a bottle of another production has the texture of the mesh, and a contour
     that no pose explains.
     """
-    mm, deg = item.motion_mm or 0, item.motion_deg or 0
+    mm, deg = item.value("motion_mm") or 0, item.value("motion_deg") or 0
     return (
-        item.texture_verdict == "fits"
-        and item.motion_mm is not None
+        item.text("texture") == "fits"
+        and item.value("motion_mm") is not None
         and (mm > options.max_motion_mm or deg > options.max_motion_deg or _is_offset(item))
         and mm <= _OTHER_SHAPE * options.max_motion_mm
         and deg <= _OTHER_SHAPE * options.max_motion_deg
@@ -59,43 +62,43 @@ def is_another_shape(item: ObjectCheck, options: CheckOptions) -> bool:
 
 
 def _is_offset(item: ObjectCheck) -> bool:
-    return (item.edge_px or 0) > _OFFSET_PX
+    return (item.value("edge_px") or 0) > _OFFSET_PX
 
 
 def counted_motion(item: ObjectCheck, options: CheckOptions) -> tuple[float | None, float | None]:
     """Translation (mm) and rotation (degrees) that count against the label; None without."""
     if is_another_shape(item, options):
         return 0.0, 0.0
-    return item.motion_mm, item.motion_deg
+    return item.value("motion_mm"), item.value("motion_deg")
 
 
 def size_error(item: ObjectCheck) -> float:
     """The relative difference in size, 0 if it is not significant."""
-    if item.size_error is None or item.size_std is None:
+    error, std = item.value("size_error"), item.std("size_error")
+    if error is None or std is None:
         return 0.0
-    significant = abs(item.size_error) > _SIZE_DEVIATIONS * item.size_std
-    return item.size_error if significant else 0.0
+    return error if abs(error) > _SIZE_DEVIATIONS * std else 0.0
 
 
 def _translation(item: ObjectCheck, measured: Measured) -> Reading:
-    return Reading(counted_motion(item, measured.options)[0], item.motion_std_mm)
+    return Reading(counted_motion(item, measured.options)[0], item.std("motion_mm"))
 
 
 def _rotation(item: ObjectCheck, measured: Measured) -> Reading:
-    return Reading(counted_motion(item, measured.options)[1], item.motion_std_deg)
+    return Reading(counted_motion(item, measured.options)[1], item.std("motion_deg"))
 
 
 def _size(item: ObjectCheck, measured: Measured) -> Reading | None:
     del measured
-    if item.size_error is None:
+    if item.value("size_error") is None:
         return None
-    return Reading(100 * abs(size_error(item)), 100 * (item.size_std or 0))
+    return Reading(100 * abs(size_error(item)), 100 * (item.std("size_error") or 0))
 
 
 def _confirmed(item: ObjectCheck, measured: Measured) -> Reading | None:
     if unlabelled(item, measured):
         return None
-    return Reading(float(item.confirmed is False))
+    return Reading(float(item.text("confirmed") == "no"))
 
 
 def _worst_name(found: Readings, measured: Measured) -> str:
@@ -108,21 +111,21 @@ def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
     """Motions within the limits, and contours that differ from the mesh."""
     options = measured.options
     for item in measured.labelled:
+        mm, deg = item.value("motion_mm") or 0, item.value("motion_deg") or 0
         parts = []
         if is_another_shape(item, options):
             yield CheckWarning(
                 severity="medium",
                 about=item.name,
                 problem="the mesh has another shape than the object: its texture fits, its "
-                f"contour lies {item.motion_mm or 0:.1f} mm and {item.motion_deg or 0:.1f} deg "
-                "from the label",
+                f"contour lies {mm:.1f} mm and {deg:.1f} deg from the label",
                 advice="the label fits best; scan this object if its shape matters",
             )
             continue
-        if _NOTED_MM <= (item.motion_mm or 0) <= options.max_motion_mm:
-            parts.append(f"{item.motion_mm:.1f} mm (± {item.motion_std_mm or 0:.1f})")
-        if _NOTED_DEG <= (item.motion_deg or 0) <= options.max_motion_deg:
-            parts.append(f"{item.motion_deg:.1f} deg (± {item.motion_std_deg or 0:.1f})")
+        if _NOTED_MM <= mm <= options.max_motion_mm:
+            parts.append(f"{mm:.1f} mm (± {item.std('motion_mm') or 0:.1f})")
+        if _NOTED_DEG <= deg <= options.max_motion_deg:
+            parts.append(f"{deg:.1f} deg (± {item.std('motion_deg') or 0:.1f})")
         if parts:
             yield CheckWarning(
                 severity="medium",
@@ -134,14 +137,14 @@ def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
 
 def _size_warnings(measured: Measured) -> Iterable[CheckWarning]:
     for item in measured.labelled:
-        size = size_error(item)
+        size, std = size_error(item), 100 * (item.std("size_error") or 0)
         if abs(size) < _NOTED_SIZE or is_another_shape(item, measured.options):
             continue
         yield CheckWarning(
             severity="medium",
             about=item.name,
             problem=f"the mesh differs from the object: it is {100 * abs(size):.1f} % "
-            f"(± {100 * (item.size_std or 0):.1f}) too {'large' if size < 0 else 'small'}, or the "
+            f"(± {std:.1f}) too {'large' if size < 0 else 'small'}, or the "
             "scale of the poses is off",
             advice="measure the object and scale its mesh, or check the scale sources",
         )
@@ -149,12 +152,13 @@ def _size_warnings(measured: Measured) -> Iterable[CheckWarning]:
 
 def _unconfirmed(measured: Measured) -> Iterable[CheckWarning]:
     for item in measured.labelled:
-        if item.confirmed is False and not is_another_shape(item, measured.options):
+        if item.text("confirmed") == "no" and not is_another_shape(item, measured.options):
+            share = 100 * (item.value("confirmed") or 0)
             yield CheckWarning(
                 severity="high",
                 about=item.name,
                 problem="is unconfirmed: its contour beats chance in "
-                f"{100 * (item.confirmed_share or 0):.0f} % of the frames that show it",
+                f"{share:.0f} % of the frames that show it",
                 advice="inspect its close-ups",
             )
 

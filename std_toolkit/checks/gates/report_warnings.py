@@ -25,8 +25,8 @@ def find_warnings(
     """
     by_key = {g.key: g for g in gates}
     failed = [by_key[row.key].failure(row) for row in rows if row.status == "fail"]
-    rest = [w for gate in gates for w in gate.warnings(measured)]
-    rest += [w for item in measured.labelled for w in _views(item)]
+    rest = [w for item in measured.labelled for w in _views(item)]
+    rest += [w for gate in gates for w in gate.warnings(measured)]
     return failed + sorted(rest, key=lambda w: _ORDER[w.severity])
 
 
@@ -39,21 +39,23 @@ def _views(item: ObjectCheck) -> Iterable[CheckWarning]:
     if item.frames_seen == 0:
         yield warning("high", "is not visible in any measured frame", "check its label and mesh")
         return
-    if item.parallax_deg is not None and item.parallax_deg < NARROW_DEG:
+    parallax, step = item.value("parallax_deg"), item.value("largest_step_deg") or 0
+    visible = item.value("visible_fraction")
+    if parallax is not None and parallax < NARROW_DEG:
         yield warning(
             "medium",
-            f"was seen over only {item.parallax_deg:.0f} degrees: its depth is weakly determined",
+            f"was seen over only {parallax:.0f} degrees: its depth is weakly determined",
             "record a wider sweep around it",
         )
-    if (item.largest_step_deg or 0) > _LARGE_STEP_DEG:
+    if step > _LARGE_STEP_DEG:
         yield warning(
             "low",
-            f"its views have a gap of {item.largest_step_deg:.0f} degrees",
+            f"its views have a gap of {step:.0f} degrees",
             "record the missing directions if you need them",
         )
-    if item.visible_fraction is not None and item.visible_fraction < _LOW_VISIBILITY:
+    if visible is not None and visible < _LOW_VISIBILITY:
         yield warning(
             "low",
-            f"is half occluded in most frames (visible {100 * item.visible_fraction:.0f} %)",
+            f"is half occluded in most frames (visible {100 * visible:.0f} %)",
             "rearrange the objects if it must be visible in this scene",
         )

@@ -12,15 +12,24 @@ from std_toolkit.checks.gates.gate import (
     all_names,
     no_exemption,
 )
-from std_toolkit.checks.measure.textures import texture_sentence
 from std_toolkit.checks.result import CheckWarning, ObjectCheck
+from std_toolkit.labels.texture.comparison import TextureComparison
+
+
+def texture_sentence(item: ObjectCheck) -> str:
+    """The finding in words, such as "turned by 180 deg about z fits the texture better"."""
+    verdict, turn = item.text("texture"), item.text("texture_rival")
+    if not verdict:
+        return ""
+    nan = float("nan")
+    return TextureComparison(verdict, None, turn, nan, nan, 0).sentence()  # type: ignore[arg-type]
 
 
 def _texture(item: ObjectCheck, measured: Measured) -> Reading | None:
     del measured
-    if item.texture_score is None:
+    if item.value("texture") is None:
         return None
-    turned = item.texture_verdict == "turned"
+    turned = item.text("texture") == "turned"
     return Reading(float(turned), detail=texture_sentence(item))
 
 
@@ -32,7 +41,7 @@ def _turns(found: Readings, measured: Measured) -> str:
 def _ambiguous(measured: Measured) -> Iterable[CheckWarning]:
     """One line per object whose turn neither its silhouette nor a texture determines."""
     for item in measured.objects:
-        if item.texture_verdict == "ambiguous":
+        if item.text("texture") == "ambiguous":
             yield CheckWarning(
                 severity="low",
                 about=item.name,

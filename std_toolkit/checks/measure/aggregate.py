@@ -18,7 +18,7 @@ from std_toolkit.checks.measure.coverage import SEEN_FRACTION, directions, measu
 from std_toolkit.checks.measure.edges import Consistency, fit_consistency
 from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.scene import Object, Scene
+from std_toolkit.scene import Label, Object, Scene
 
 # Frames that show less of an object constrain its pose too weakly.
 _JUDGED_FRACTION = 0.2
@@ -189,76 +189,140 @@ def _check_object(
             state = "refined" if label.refined else "propagated"
     rows = [(f.frame, f.objects[item.id]) for f in observed if item.id in f.objects]
     judged = [o for _, o in rows if o.visible_fraction >= _JUDGED_FRACTION]
-    observation = [(f, o) for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
-    edges = [o.edges for o in judged if o.edges is not None]
-    edge_medians = [e.median_px for e in edges if e.median_px is not None]
-    residuals = [o.residual for o in judged if o.residual is not None]
-    drift = _consistency(judged)
+    seen = [f for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
     tally = _merged([f.tallies[item.id] for f in observed if item.id in f.tallies])
-    fields: dict[str, Any] = {
-        "object": item.id,
-        "name": item.name,
-        "model": item.model,
-        "category": scene.objects.model(item.model).category,
-        "material": item.material,
-        "label": state,
-        "annotated_frame": label.frame if label else None,
-        "frames_seen": len(observation),
-        "visible_fraction": rounded(median([o.visible_fraction for _, o in rows])),
-        "edge_px": rounded(median(edge_medians)),
-        "edge_p90_px": rounded(float(np.percentile(edge_medians, 90))) if edge_medians else None,
-        "edge_tail_px": rounded(median([e.p90_px for e in edges])),
-        "edge_support": rounded(median([e.support for e in edges])),
-        "edge_chance_px": rounded(median([e.chance_px for e in edges])),
-        "label_std_mm": _weakest(label.covariance, 0, 1000) if label else None,
-        "label_std_deg": _weakest(label.covariance, 3, 180 / np.pi) if label else None,
-        "weak_direction": label.weak_direction if label else "",
-        "completeness": rounded(tally.completeness, 4),
-        "raw_median_mm": _mm(tally.quantile_m(0.5)),
-        "raw_mae_mm": _mm(tally.mae_m),
-        "raw_rmse_mm": _mm(tally.rmse_m),
-        "frames": [_object_frame(f, o, depth_bias) for f, o in rows],
-    }
-    if residuals:
-        fields["depth_mm"] = _mm(median([r.median_m for r in residuals]))
-        fields["depth_mad_mm"] = _mm(median([r.mad_m for r in residuals]))
-        fields["distance_m"] = rounded(median([r.depth_m for r in residuals]))
-        fields["depth_unscaled_mm"] = _mm(median([_unscaled(r, depth_bias) for r in residuals]))
-    shifts = [hypot(o.shift.x_px, o.shift.y_px) for o in judged if o.shift is not None]
-    if edges:
-        fields["shift_px"] = rounded(median(shifts))
-        fields["shift_share"] = rounded(len(shifts) / len(edges))
-    if drift is not None:
-        offset = [round(1000 * x, 2) for x in drift.offset_m]
-        fields |= {
-            "shift_spread_px": rounded(drift.spread_px),
-            "offset_mm": offset,
-            "offset_norm_mm": round(float(np.linalg.norm(offset)), 2),
-            "drift_px": rounded(drift.drift_px),
-            "drift_mm": _mm(drift.drift_m),
-            "drift_frames": drift.frames,
-        }
+    visible = rounded(median([o.visible_fraction for _, o in rows]))
     return result.ObjectCheck(
-        **(fields | _coverage_fields(scene, item.id, [f for f, _ in observation], up))
+        object=item.id,
+        name=item.name,
+        model=item.model,
+        category=scene.objects.model(item.model).category,
+        material=item.material,
+        label=state,  # type: ignore[arg-type]
+        annotated_frame=label.frame if label else None,
+        frames_seen=len(seen),
+        values=[
+            *_known("views", len(rows), visible_fraction=visible),
+            *_contour_values(judged),
+            *_residual_values(judged, depth_bias),
+            *_drift_values(judged),
+            *_label_values(label),
+            *_coverage_values(scene, item.id, seen, up),
+            *_known(
+                "depth",
+                completeness=rounded(tally.completeness, 4),
+                raw_median_mm=_mm(tally.quantile_m(0.5)),
+                raw_mae_mm=_mm(tally.mae_m),
+                raw_rmse_mm=_mm(tally.rmse_m),
+            ),
+        ],
+        frames=[_object_frame(f, o, depth_bias) for f, o in rows],
     )
 
 
-def _coverage_fields(
+def _known(source: result.Source, frames: int = 0, **numbers: result.Number) -> list[result.Value]:
+    """Values by key, without those that were not measured; a key ends in its unit."""
+    return [
+        result.Value(key=key, value=number, unit=_unit(key), source=source, frames=frames)
+        for key, number in numbers.items()
+        if number is not None
+    ]
+
+
+def _unit(key: str) -> Any:
+    end = key.rsplit("_", 1)[-1]
+    return end if end in ("px", "mm", "m", "deg") else ""
+
+
+def _contour_values(judged: Sequence[ObjectObservation]) -> list[result.Value]:
+    edges = [o.edges for o in judged if o.edges is not None]
+    medians = [e.median_px for e in edges if e.median_px is not None]
+    shifts = [hypot(o.shift.x_px, o.shift.y_px) for o in judged if o.shift is not None]
+    return [
+        *_known(
+            "contour",
+            len(edges),
+            edge_px=rounded(median(medians)),
+            edge_p90_px=rounded(float(np.percentile(medians, 90))) if medians else None,
+            edge_tail_px=rounded(median([e.p90_px for e in edges])),
+            edge_support=rounded(median([e.support for e in edges])),
+            edge_chance_px=rounded(median([e.chance_px for e in edges])),
+        ),
+        *_known(
+            "contour",
+            len(shifts),
+            shift_px=rounded(median(shifts)) if edges else None,
+            shift_share=rounded(len(shifts) / len(edges)) if edges else None,
+        ),
+    ]
+
+
+def _residual_values(
+    judged: Sequence[ObjectObservation], depth_bias: float | None
+) -> list[result.Value]:
+    residuals = [o.residual for o in judged if o.residual is not None]
+    return _known(
+        "depth",
+        len(residuals),
+        depth_mm=_mm(median([r.median_m for r in residuals])),
+        depth_mad_mm=_mm(median([r.mad_m for r in residuals])),
+        depth_unscaled_mm=_mm(median([_unscaled(r, depth_bias) for r in residuals])),
+        distance_m=rounded(median([r.depth_m for r in residuals])),
+    )
+
+
+def _drift_values(judged: Sequence[ObjectObservation]) -> list[result.Value]:
+    drift = _consistency(judged)
+    if drift is None:
+        return []
+    offset = [round(1000 * x, 2) for x in drift.offset_m]
+    return [
+        *_known("contour", drift.frames, shift_spread_px=rounded(drift.spread_px)),
+        result.Value(
+            key="offset_mm",
+            value=round(float(np.linalg.norm(offset)), 2),
+            unit="mm",
+            source="contour",
+            frames=drift.frames,
+            motion=[*offset, 0.0, 0.0, 0.0],
+        ),
+        *_known(
+            "contour", drift.frames, drift_px=rounded(drift.drift_px), drift_mm=_mm(drift.drift_m)
+        ),
+    ]
+
+
+def _label_values(label: Label | None) -> list[result.Value]:
+    if label is None:
+        return []
+    std_mm = _weakest(label.covariance, 0, 1000)
+    words = label.weak_direction
+    return [
+        *(
+            [result.Value(key="label_std_mm", value=std_mm, unit="mm", source="label", text=words)]
+            if std_mm is not None or words
+            else []
+        ),
+        *_known("label", label_std_deg=_weakest(label.covariance, 3, 180 / np.pi)),
+    ]
+
+
+def _coverage_values(
     scene: Scene, object_id: int, frames: list[int], up: NDArray[np.float64]
-) -> dict[str, Any]:
+) -> list[result.Value]:
     view = view_directions(scene, object_id, frames, up)
     coverage = None if view is None else measure_coverage(*view)
     if coverage is None:
-        return {}
-    return {
-        "azimuth_span_deg": rounded(coverage.azimuth_span_deg, 1),
-        "elevation_deg": [
-            round(coverage.elevation_min_deg, 1),
-            round(coverage.elevation_max_deg, 1),
-        ],
-        "parallax_deg": rounded(coverage.parallax_deg, 1),
-        "largest_step_deg": rounded(coverage.largest_step_deg, 1),
-    }
+        return []
+    return _known(
+        "views",
+        len(frames),
+        azimuth_span_deg=rounded(coverage.azimuth_span_deg, 1),
+        elevation_min_deg=round(coverage.elevation_min_deg, 1),
+        elevation_max_deg=round(coverage.elevation_max_deg, 1),
+        parallax_deg=rounded(coverage.parallax_deg, 1),
+        largest_step_deg=rounded(coverage.largest_step_deg, 1),
+    )
 
 
 def view_directions(

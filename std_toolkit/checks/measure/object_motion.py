@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,7 +18,7 @@ from std_toolkit.checks.measure.motion import (
 )
 from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
 from std_toolkit.checks.measure.residuals import FrameObservation
-from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck
+from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 
@@ -93,17 +92,13 @@ def _with_motion(
     systematic_px = _SYSTEMATIC_PX.get(item.material, _OPAQUE_SYSTEMATIC_PX)
     motion = solve_motion(equations, free, systematic_px=systematic_px)
     if motion is None:
-        return msgspec.structs.replace(item, confirmed=False, confirmed_share=0.0)
+        return item.with_values([_confirmation(False, 0.0, 0)])
     # Support is measured where the images put the object: a small motion has a gate of its own.
     support = pooled_support(equations, motion.vector)
     if len(equations) < FEWEST_FRAMES:
         # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
-        return msgspec.structs.replace(
-            item,
-            confirmed=_is_supported(support) or item.texture_verdict == "fits",
-            confirmed_share=round(support.frames, 4),
-        )
-    fields: dict[str, Any] = {}
+        shown = _is_supported(support) or item.text("texture") == "fits"
+        return item.with_values([_confirmation(shown, support.frames, len(equations))])
     plain = motion
     sized = solve_motion(
         equations, free, with_size=True, systematic_px=max(systematic_px, _SIZED_SYSTEMATIC_PX)
@@ -114,30 +109,66 @@ def _with_motion(
     sized_support = pooled_support(equations, np.append(sized.vector, sized.size))
     if sized_support.share - support.share < _SIZE_SHARE:
         size_std = max(size_std, abs(sized.size))
-    fields |= {"size_error": round(sized.size, 5), "size_std": round(size_std, 5)}
     # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
     if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * size_std):
         motion, support = sized, sized_support
-    mm, mm_std = motion.translation_mm
-    deg, deg_std = motion.rotation_deg
-    fields |= {
-        "motion_mm": round(mm, 2),
-        "motion_std_mm": round(mm_std, 2),
-        "motion_deg": round(deg, 2),
-        "motion_std_deg": round(deg_std, 2),
-        "motion": [
-            *(round(float(x), 2) for x in 1000 * motion.vector[:3]),
-            *(round(float(x), 2) for x in np.rad2deg(motion.vector[3:])),
-        ],
-        "confirmed_share": round(support.frames, 4),
-        "confirmed": item.texture_verdict == "fits"
-        or (
-            _is_supported(support)
-            and not _is_loose(plain, options)
-            and _keeps_support(motion, support, equations)
+    shown = item.text("texture") == "fits" or (
+        _is_supported(support)
+        and not _is_loose(plain, options)
+        and _keeps_support(motion, support, equations)
+    )
+    return item.with_values(
+        [
+            *_motion_values(motion, len(equations)),
+            Value(
+                key="size_error",
+                value=round(sized.size, 5),
+                std=round(size_std, 5),
+                source="contour",
+                frames=len(equations),
+            ),
+            _confirmation(shown, support.frames, len(equations)),
+        ]
+    )
+
+
+def _motion_values(motion: Motion, frames: int) -> list[Value]:
+    (mm, mm_std), (deg, deg_std) = motion.translation_mm, motion.rotation_deg
+    units = np.array([1000.0] * 3 + [180 / np.pi] * 3)
+    covariance = motion.covariance * np.outer(units, units)
+    return [
+        Value(
+            key="motion_mm",
+            value=round(mm, 2),
+            std=round(mm_std, 2),
+            unit="mm",
+            source="contour",
+            frames=frames,
+            motion=[
+                *(round(float(x), 2) for x in 1000 * motion.vector[:3]),
+                *(round(float(x), 2) for x in np.rad2deg(motion.vector[3:])),
+            ],
+            covariance=[float(f"{x:.6g}") for x in covariance.ravel()],
         ),
-    }
-    return msgspec.structs.replace(item, **fields)
+        Value(
+            key="motion_deg",
+            value=round(deg, 2),
+            std=round(deg_std, 2),
+            unit="deg",
+            source="contour",
+            frames=frames,
+        ),
+    ]
+
+
+def _confirmation(shown: bool, share: float, frames: int) -> Value:
+    return Value(
+        key="confirmed",
+        value=round(share, 4),
+        source="contour",
+        frames=frames,
+        text="yes" if shown else "no",
+    )
 
 
 def _frame_row(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 
 from std_toolkit.checks import result
@@ -71,22 +70,24 @@ def with_texture(item: result.ObjectCheck, found: TextureComparison | None) -> r
     """The object's row with the comparison of its texture."""
     if found is None:
         return item
-    return msgspec.structs.replace(
-        item,
-        texture_verdict=found.verdict,
-        texture_score=_number(found.score),
-        texture_rival_score=_number(found.rival_score),
-        texture_frames=found.frames,
-        texture_text=found.text,
+    return item.with_values(
+        [
+            result.Value(
+                key="texture",
+                value=_number(found.score),
+                source="texture",
+                frames=found.frames,
+                text=found.verdict,
+            ),
+            result.Value(
+                key="texture_rival",
+                value=_number(found.rival_score),
+                source="texture",
+                frames=found.frames,
+                text=found.text,
+            ),
+        ]
     )
-
-
-def texture_sentence(item: result.ObjectCheck) -> str:
-    """The finding in words, such as "turned by 180 deg about z fits the texture better"."""
-    if not item.texture_verdict:
-        return ""
-    nan = float("nan")
-    return TextureComparison(item.texture_verdict, None, item.texture_text, nan, nan, 0).sentence()
 
 
 def with_textures(

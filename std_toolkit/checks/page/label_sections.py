@@ -27,7 +27,7 @@ _MEANINGS = {
 }
 
 
-# Columns of values, each with the field of the object and the gate on it.
+# Columns of values, each with its key and the gate on it.
 _VALUES = (
     (Column(heading="edge distance", unit="px, median", digits=2), "edge_px", "edges"),
     (Column(heading="p90", unit="px, frames", digits=2), "edge_p90_px", ""),
@@ -35,7 +35,7 @@ _VALUES = (
     (Column(heading="shift", unit="px", digits=2), "shift_px", "shift"),
     (Column(heading="depth residual", unit="mm, ± MAD", signed=True), "depth_mm", "depth"),
     (Column(heading="without bias", unit="mm", signed=True), "depth_unscaled_mm", ""),
-    (Column(heading="seems off by", unit="mm"), "offset_norm_mm", ""),
+    (Column(heading="seems off by", unit="mm"), "offset_mm", ""),
     (Column(heading="drift", unit="px", digits=2), "drift_px", "drift"),
     (Column(heading="drift", unit="mm"), "drift_mm", ""),
     (Column(heading="label std", unit="mm"), "label_std_mm", "covariance"),
@@ -105,12 +105,13 @@ def _label_row(report: result.CheckReport, item: result.ObjectCheck) -> Row:
     bad = {f.gate for f in item.gates if f.verdict == "bad"}
     cells = [name_cell(report, item), Cell(text=item.verdict, tag=item.verdict)]
     for column, name, gate in _VALUES:
-        text = column.text(getattr(item, name)) or NONE
-        if name == "depth_mm" and item.depth_mad_mm is not None:
-            text += f" ± {item.depth_mad_mm:.1f}"
+        text = column.text(item.value(name)) or NONE
+        mad = item.value("depth_mad_mm")
+        if name == "depth_mm" and mad is not None:
+            text += f" ± {mad:.1f}"
         cells.append(Cell(text=text, mark="bad" if gate in bad else ""))
-    turned = item.texture_verdict == "turned"
-    shown = item.texture_text if turned else item.texture_verdict
+    texture = item.text("texture")
+    shown = item.text("texture_rival") if texture == "turned" else texture
     cells.append(Cell(text=shown or NONE, mark="bad" if "texture" in bad else ""))
     return Row(cells)
 

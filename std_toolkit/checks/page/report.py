@@ -70,7 +70,7 @@ def render_page(report: result.CheckReport, parts: PageParts) -> str:
 
 def _facts(report: result.CheckReport) -> list[page.Fact]:
     s = report.summary
-    edges = sorted(o.edge_px for o in report.objects if o.edge_px is not None)
+    edges = sorted(e for o in report.objects if (e := o.value("edge_px")) is not None)
     gates = [g for g in report.gates if g.status != "open"]
     reprojection = number(s.reprojection_px, 2)
     return [
@@ -153,15 +153,15 @@ def _coverage(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
     ]
     rows = []
     for o in report.objects:
-        if o.azimuth_span_deg is None:
+        span = o.value("azimuth_span_deg")
+        if span is None:
             continue
-        low, high = o.elevation_deg or (None, None)
-        elevation = f"{number(low, 0)} to {number(high, 0)}" if o.elevation_deg else NONE
+        low, high = o.value("elevation_min_deg"), o.value("elevation_max_deg")
         cells = [
             label_sections.name_cell(report, o),
-            *_cells(columns[1:3], (o.frames_seen, o.azimuth_span_deg)),
-            Cell(text=elevation),
-            *_cells(columns[4:], (o.parallax_deg, o.largest_step_deg)),
+            *_cells(columns[1:3], (o.frames_seen, span)),
+            Cell(text=f"{number(low, 0)} to {number(high, 0)}"),
+            *_cells(columns[4:], (o.value("parallax_deg"), o.value("largest_step_deg"))),
         ]
         rows.append(Row(cells))
     return [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import pytest
@@ -17,34 +17,51 @@ from std_toolkit.checks.result import (
     FrameCheck,
     ObjectCheck,
     SceneSummary,
+    Value,
 )
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 OPTIONS = CheckOptions()
-GOOD = ObjectCheck(
-    object=1,
-    name="mug",
-    model="mug",
-    category="mug",
-    material="diffuse",
-    label="refined",
-    frames_seen=20,
-    visible_fraction=0.9,
-    edge_px=0.5,
-    edge_support=0.9,
-    edge_chance_px=4.0,
-    shift_px=0.4,
-    shift_share=0.9,
-    depth_mm=2.0,
-    depth_mad_mm=1.0,
-    distance_m=0.7,
-    drift_px=0.4,
-    drift_frames=18,
-    label_std_mm=1.0,
-    parallax_deg=80,
-)
+IDENTITY = {
+    "object": 1,
+    "name": "mug",
+    "model": "mug",
+    "category": "mug",
+    "material": "diffuse",
+    "label": "refined",
+    "frames_seen": 20,
+}
+VALUES = {
+    "visible_fraction": 0.9,
+    "edge_px": 0.5,
+    "edge_support": 0.9,
+    "edge_chance_px": 4.0,
+    "shift_px": 0.4,
+    "shift_share": 0.9,
+    "depth_mm": 2.0,
+    "depth_mad_mm": 1.0,
+    "distance_m": 0.7,
+    "drift_px": 0.4,
+    "label_std_mm": 1.0,
+    "parallax_deg": 80,
+}
+
+
+def mug(**change: Any) -> ObjectCheck:
+    """A good object with other fields or values; None takes a value away."""
+    fields = {k: change.pop(k, v) for k, v in IDENTITY.items()}
+    words = {"label_std_mm": change.pop("weak_direction", "")}
+    values = [
+        Value(key=k, value=v, source="contour", frames=18, text=words.get(k, ""))
+        for k, v in (VALUES | change).items()
+        if v is not None
+    ]
+    return ObjectCheck(**fields, values=values)
+
+
+GOOD = mug()
 SUMMARY = SceneSummary(
     frames=20,
     registered=20,
@@ -104,7 +121,7 @@ def test_a_good_scene_fails_nothing() -> None:
     ],
 )
 def test_a_bad_label_fails_its_gate(change: dict[str, object], key: str) -> None:
-    item = msgspec.structs.replace(GOOD, **change)
+    item = mug(**change)
     failed = {g.key: g for g in gates(item).values() if g.status == "fail"}
     assert set(failed) == {key}
     assert failed[key].advice
@@ -128,15 +145,13 @@ def test_bad_camera_poses_fail_their_gate(change: dict[str, object], key: str) -
 
 
 def test_the_limit_itself_passes() -> None:
-    item = msgspec.structs.replace(GOOD, edge_px=3.0, edge_chance_px=9.0, depth_mm=5.0)
+    item = mug(edge_px=3.0, edge_chance_px=9.0, depth_mm=5.0)
     summary = msgspec.structs.replace(SUMMARY, registered=18, scale=scale(0.005))
     assert judged(item, summary=summary).failed_gates() == []
 
 
 def test_glass_without_edges_warns_but_does_not_fail() -> None:
-    glass = msgspec.structs.replace(
-        GOOD, material="transparent", edge_support=0.1, depth_mm=None, distance_m=None
-    )
+    glass = mug(material="transparent", edge_support=0.1, depth_mm=None, distance_m=None)
     assert all(g.status != "fail" for g in gates(glass).values())
     assert verdict(glass) == "doubtful"
     warnings = judged(glass).warnings
@@ -172,7 +187,7 @@ def test_the_scale_gate_compares_in_deviations(
 
 
 def test_depth_gate_leaves_out_what_the_scale_explains() -> None:
-    item = msgspec.structs.replace(GOOD, depth_mm=10.0)
+    item = mug(depth_mm=10.0)
     assert gates(item)["depth"].status == "fail"
     # 1.5 % of 0.7 m are 10.5 mm: a sensor's bias.
     biased = msgspec.structs.replace(SUMMARY, depth_bias=0.015)
@@ -183,9 +198,7 @@ def test_depth_gate_leaves_out_what_the_scale_explains() -> None:
 
 
 def test_warnings_are_ranked_and_failed_gates_lead() -> None:
-    item = msgspec.structs.replace(
-        GOOD, depth_mm=9.0, offset_norm_mm=4.0, weak_direction="depth is weak", parallax_deg=12
-    )
+    item = mug(depth_mm=9.0, offset_mm=4.0, weak_direction="depth is weak", parallax_deg=12)
     frames = [
         *FRAMES[:10],
         FrameCheck(frame=10, name="x", status="registered", problem="truncated"),
@@ -239,8 +252,7 @@ def test_metres_from_depth_alone_are_warned_about() -> None:
 def test_an_outline_must_lie_well_below_chance(
     edge_px: float, chance_px: float, uninformative: bool
 ) -> None:
-    item = SimpleNamespace(edge_px=edge_px, edge_chance_px=chance_px)
-    assert is_uninformative(item) is uninformative
+    assert is_uninformative(mug(edge_px=edge_px, edge_chance_px=chance_px)) is uninformative
 
 
 @pytest.mark.parametrize(("count", "shown"), [(1, 1), (6, 6), (8, 6)])

@@ -22,6 +22,7 @@ from std_toolkit.checks.result import (
     ObjectCheck,
     ObjectFrameCheck,
     SceneSummary,
+    Value,
 )
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
@@ -58,9 +59,10 @@ def make_object(object_id: int, states: list[State]) -> ObjectCheck:
         material="diffuse",
         label="propagated",
         frames_seen=len(rows),
-        edge_px=0.5,
-        edge_support=0.9,
-        edge_chance_px=1.8,
+        values=[
+            Value(key=key, value=value, source="contour")
+            for key, value in (("edge_px", 0.5), ("edge_support", 0.9), ("edge_chance_px", 1.8))
+        ],
         frames=rows,
     )
 
