@@ -22,7 +22,6 @@ from std_toolkit.checks.gates.gate import (
     Reading,
     Readings,
     SceneGate,
-    frame_ranges,
     listed,
     no_exemption,
 )
@@ -218,6 +217,18 @@ def _with_fault(row: FrameCheck, camera: Sequence[int], options: CheckOptions) -
     elif shift > options.max_alignment_px:
         fault = f"depth shifted by {shift:.1f} px"
     return msgspec.structs.replace(row, fault=fault)
+
+
+def frame_ranges(ids: Sequence[int], limit: int = 8) -> str:
+    """Ids as ranges, such as "3-7, 12"."""
+    runs: list[list[int]] = []
+    for i in ids:
+        if runs and i == runs[-1][1] + 1:
+            runs[-1][1] = i
+        else:
+            runs.append([i, i])
+    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs[:limit])
+    return text + (f" and {len(runs) - limit} more" if len(runs) > limit else "")
 
 
 def _unreadable(measured: Measured) -> Reading | None:

@@ -14,12 +14,12 @@ table, the warnings and the verdicts then have it:
         title="hidden part of an object, worst object",
         unit="%",
         limit=lambda options: options.max_hidden,
-        measure=lambda item, measured: Reading(100 * (1 - item.visible_fraction)),
+        measure=lambda item, measured: Reading(100 * (1 - (item.value("visible_fraction") or 0))),
         advice="rearrange the objects",
     )
 
-`measure` reads the row of the object or, for what no row has yet, `measured`; it returns None where
-nothing was measured. A gate that lives outside of this package is added by `register_gate`.
+`measure` reads the values of the object, or `measured`; it returns None where nothing was measured.
+A gate that lives outside of this package is added by `judge.register_gate`.
 """
 
 from __future__ import annotations
@@ -38,13 +38,10 @@ from std_toolkit.checks.result import (
     SceneSummary,
     Verdict,
 )
-from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
 
 LABELLED = ("propagated", "refined")
-# From the best verdict to the worst: what nobody could see is worse than a doubt.
-_ORDER: tuple[Verdict, ...] = ("good", "doubtful", "open", "bad")
 _MOST_NAMES = 6
 
 
@@ -123,24 +120,6 @@ class Reading:
     advice: str = ""
 
 
-def nothing(options: CheckOptions) -> float:
-    """The limit 0, of gates that count."""
-    del options
-    return 0.0
-
-
-def no_excuse(options: CheckOptions) -> str:
-    """A failure is a failure."""
-    del options
-    return ""
-
-
-def no_warnings(measured: Measured) -> Iterable[CheckWarning]:
-    """The default of `Gate.warn`."""
-    del measured
-    return ()
-
-
 @dataclass(frozen=True, kw_only=True)
 class Gate:
     """What all gates have.
@@ -148,7 +127,7 @@ class Gate:
     Attributes:
         key: stable name, such as "edges".
         title: what is measured, in words.
-        limit: limit in the unit of the gate, mostly a field of the options.
+        limit: limit in the unit of the gate, a field of the options; None is 0.
         unit: "", "px", "mm", "deg" or "%".
         rule: "at least" or "at most" the limit.
         sigmas: deviations of the value by which it must exceed the limit to fail.
@@ -161,12 +140,12 @@ class Gate:
 
     key: str
     title: str | Callable[[CheckOptions], str]
-    limit: Callable[[CheckOptions], float] = nothing
+    limit: Callable[[CheckOptions], float] | None = None
     unit: str = ""
     rule: Literal["at least", "at most"] = "at most"
     sigmas: float = 0.0
     advice: str
-    warn: Callable[[Measured], Iterable[CheckWarning]] = no_warnings
+    warn: Callable[[Measured], Iterable[CheckWarning]] | None = None
     names: bool = False
     after: str = ""
     optional: bool = False
@@ -175,11 +154,15 @@ class Gate:
         """The row of the report."""
         raise NotImplementedError
 
+    def limit_of(self, options: CheckOptions) -> float:
+        """The limit under these options."""
+        return 0.0 if self.limit is None else self.limit(options)
+
     def meets(self, reading: Reading, options: CheckOptions) -> bool:
         """Whether a value is within the limit; a missing one is."""
         if reading.value is None:
             return True
-        limit = self.limit(options)
+        limit = self.limit_of(options)
         # Compare the rounded value that is shown, so that "3.00 px, limit 3 px" never fails.
         value = round(reading.value, 3)
         if self.rule == "at least":
@@ -193,7 +176,7 @@ class Gate:
 
     def warnings(self, measured: Measured) -> list[CheckWarning]:
         """The warnings besides that of a failure."""
-        return list(self.warn(measured))
+        return [] if self.warn is None else list(self.warn(measured))
 
     def failure(self, row: CheckGate) -> CheckWarning:
         """The warning that a failed row of this gate gives."""
@@ -221,7 +204,7 @@ class Gate:
             title=self.title if isinstance(self.title, str) else self.title(options),
             value=None if reading.value is None else round(reading.value, 3),
             deviation=reading.deviation,
-            limit=round(self.limit(options), 4),
+            limit=round(self.limit_of(options), 4),
             rule=self.rule,
             unit=self.unit,
             status=status,
@@ -268,18 +251,6 @@ def listed(names: Sequence[str], most: int = _MOST_NAMES) -> str:
     return ", ".join(names[:most]) + more
 
 
-def frame_ranges(ids: Sequence[int], limit: int = 8) -> str:
-    """Ids as ranges, such as "3-7, 12"."""
-    runs: list[list[int]] = []
-    for i in ids:
-        if runs and i == runs[-1][1] + 1:
-            runs[-1][1] = i
-        else:
-            runs.append([i, i])
-    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs[:limit])
-    return text + (f" and {len(runs) - limit} more" if len(runs) > limit else "")
-
-
 Readings = Sequence[tuple[ObjectCheck, Reading]]
 
 
@@ -314,7 +285,7 @@ class ObjectGate(Gate):
     measure: Callable[[ObjectCheck, Measured], Reading | None]
     counts: bool = False
     exempt: Callable[[ObjectCheck, Measured], str] = unseen
-    accept: Callable[[CheckOptions], str] = no_excuse
+    accept: Callable[[CheckOptions], str] | None = None
     verdict: Verdict = "bad"
     unmeasured: Verdict | None = None
     warn_from: float | None = None
@@ -339,7 +310,7 @@ class ObjectGate(Gate):
             item, worst = max(counted, key=lambda pair: sign * (pair[1].value or 0.0))
             detail = self.detail([(item, worst)], measured)
             reading = Reading(worst.value, worst.deviation, detail, worst.advice)
-        return self.row(reading, options, self.accept(options))
+        return self.row(reading, options, self.accept(options) if self.accept else "")
 
     def finding(self, item: ObjectCheck, measured: Measured) -> GateFinding | None:
         reading = self.measure(item, measured)
@@ -370,34 +341,10 @@ class ObjectGate(Gate):
                         advice=self.advice,
                     )
                 )
-        return [*found, *self.warn(measured)]
+        return [*found, *super().warnings(measured)]
 
     def is_noted(self, value: float | None) -> bool:
         """Whether a value is one from which the gate warns."""
         if value is None or self.warn_from is None:
             return False
         return value <= self.warn_from if self.rule == "at least" else value >= self.warn_from
-
-
-def worst_verdict(findings: Iterable[GateFinding]) -> Verdict:
-    """The verdict of an object: the worst of its gates; "open" without any."""
-    return max((f.verdict for f in findings), key=_ORDER.index, default="open")
-
-
-def ordered(gates: Iterable[Gate]) -> tuple[Gate, ...]:
-    """The gates in the order of the report.
-
-    Raises:
-        ToolkitError: two gates have one key.
-    """
-    found: list[Gate] = []
-    for gate in gates:
-        keys = [g.key for g in found]
-        if gate.key in keys:
-            raise ToolkitError("two gates have this key", field="key", value=gate.key)
-        found.append(gate)
-    for gate in [g for g in found if g.after]:
-        found.remove(gate)
-        above = [k for k, g in enumerate(found) if g.key == gate.after]
-        found.insert(above[0] + 1 if above else len(found), gate)
-    return tuple(found)

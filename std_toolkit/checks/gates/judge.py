@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 
 import msgspec
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks import result
 from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
-from std_toolkit.checks.gates.gate import Gate, Measured, ordered, worst_verdict
-from std_toolkit.checks.gates.report_warnings import find_warnings
+from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
-from std_toolkit.checks.measure.alignment import common_depth_shift
+from std_toolkit.checks.measure.coverage import NARROW_DEG
 from std_toolkit.checks.measure.object_motion import with_motions
+from std_toolkit.checks.measure.sensor_depth import common_depth_shift
+from std_toolkit.errors import ToolkitError
 from std_toolkit.labels.texture.comparison import TextureComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
@@ -30,11 +31,35 @@ _FAMILIES = (
     *texture.GATES,
 )
 _added: list[Gate] = []
+# From the best verdict to the worst: what nobody could see is worse than a doubt.
+_ORDER: tuple[result.Verdict, ...] = ("good", "doubtful", "open", "bad")
+_SEVERITY: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
+_LOW_VISIBILITY = 0.5
+_LARGE_STEP_DEG = 30.0
 
 
 def all_gates() -> tuple[Gate, ...]:
     """The gates of all families and the registered ones, in the order of the report."""
-    return ordered((*_FAMILIES, *_added))
+    return _ordered((*_FAMILIES, *_added))
+
+
+def _ordered(gates: Iterable[Gate]) -> tuple[Gate, ...]:
+    """The gates in the order of the report.
+
+    Raises:
+        ToolkitError: two gates have one key.
+    """
+    found: list[Gate] = []
+    for gate in gates:
+        keys = [g.key for g in found]
+        if gate.key in keys:
+            raise ToolkitError("two gates have this key", field="key", value=gate.key)
+        found.append(gate)
+    for gate in [g for g in found if g.after]:
+        found.remove(gate)
+        above = [k for k, g in enumerate(found) if g.key == gate.after]
+        found.insert(above[0] + 1 if above else len(found), gate)
+    return tuple(found)
 
 
 def register_gate(gate: Gate) -> None:
@@ -43,7 +68,7 @@ def register_gate(gate: Gate) -> None:
     Raises:
         ToolkitError: a gate has this key.
     """
-    ordered((*all_gates(), gate))
+    _ordered((*all_gates(), gate))
     _added.append(gate)
 
 
@@ -118,7 +143,7 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         verdict=_verdict(failed, measured.summary),
         summary=measured.summary,
         gates=rows,
-        warnings=find_warnings(gates, rows, measured),
+        warnings=_find_warnings(gates, rows, measured),
         missing=[],
         objects=objects,
         frames=list(measured.frames),
@@ -130,8 +155,10 @@ def judge_rows(measured: Measured) -> result.CheckReport:
 def _with_verdict(
     item: result.ObjectCheck, gates: Sequence[Gate], measured: Measured
 ) -> result.ObjectCheck:
+    """The object with the worst verdict of its gates; "open" without any."""
     found = [f for gate in gates if (f := gate.finding(item, measured)) is not None]
-    return msgspec.structs.replace(item, gates=found, verdict=worst_verdict(found))
+    verdict = max((f.verdict for f in found), key=_ORDER.index, default="open")
+    return msgspec.structs.replace(item, gates=found, verdict=verdict)
 
 
 def _summary(
@@ -202,6 +229,59 @@ def _unreadable_meshes(scene: Scene) -> dict[int, str]:
         if scene.T_world_obj(o.id) is not None
         and (problem := contours.mesh_problem(scene, o.model))
     }
+
+
+def _find_warnings(
+    gates: Sequence[Gate], rows: Sequence[result.CheckGate], measured: Measured
+) -> list[result.CheckWarning]:
+    """All warnings, the most severe first, those on objects before those on the scene.
+
+    Failed gates precede all others.
+
+    Args:
+        gates: the gates.
+        rows: their rows in the report.
+        measured: what they read.
+    """
+    by_key = {g.key: g for g in gates}
+    failed = [by_key[row.key].failure(row) for row in rows if row.status == "fail"]
+    names = {item.name for item in measured.objects}
+    rest = [w for item in measured.labelled for w in _views(item)]
+    rest += [w for gate in gates for w in gate.warnings(measured)]
+    return failed + sorted(rest, key=lambda w: (_SEVERITY[w.severity], w.about not in names))
+
+
+def _views(item: result.ObjectCheck) -> Iterable[result.CheckWarning]:
+    """What the views of an object lack."""
+
+    def warning(severity: result.Severity, problem: str, advice: str) -> result.CheckWarning:
+        return result.CheckWarning(
+            severity=severity, about=item.name, problem=problem, advice=advice
+        )
+
+    if item.frames_seen == 0:
+        yield warning("high", "is not visible in any measured frame", "check its label and mesh")
+        return
+    parallax, step = item.value("parallax_deg"), item.value("largest_step_deg") or 0
+    visible = item.value("visible_fraction")
+    if parallax is not None and parallax < NARROW_DEG:
+        yield warning(
+            "medium",
+            f"was seen over only {parallax:.0f} degrees: its depth is weakly determined",
+            "record a wider sweep around it",
+        )
+    if step > _LARGE_STEP_DEG:
+        yield warning(
+            "low",
+            f"its views have a gap of {step:.0f} degrees",
+            "record the missing directions if you need them",
+        )
+    if visible is not None and visible < _LOW_VISIBILITY:
+        yield warning(
+            "low",
+            f"is half occluded in most frames (visible {100 * visible:.0f} %)",
+            "rearrange the objects if it must be visible in this scene",
+        )
 
 
 def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from std_toolkit.checks.gates.gate import Measured, Reading, SceneGate, frame_ranges
+from std_toolkit.checks.gates.frames import frame_ranges
+from std_toolkit.checks.gates.gate import Measured, Reading, SceneGate
 from std_toolkit.checks.result import CheckWarning
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.scale_model import differences

@@ -8,7 +8,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.checks.measure.aggregate import in_mm, known_values, rounded
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
+from std_toolkit.checks.measure.edges import Consistency, fit_consistency
 from std_toolkit.checks.measure.motion import (
     FEWEST_FRAMES,
     FiledEquations,
@@ -17,7 +19,7 @@ from std_toolkit.checks.measure.motion import (
     pooled_support,
 )
 from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
-from std_toolkit.checks.measure.residuals import FrameObservation
+from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
 from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
@@ -61,7 +63,10 @@ def with_motions(
     options: CheckOptions,
 ) -> list[ObjectCheck]:
     """The rows of the objects with their motion, size and confirmation."""
-    return [_with_motion(scene, o, observed, options) for o in objects]
+    return [
+        _with_motion(scene, o.with_values(_drift_values(o.object, observed)), observed, options)
+        for o in objects
+    ]
 
 
 def _with_motion(
@@ -129,6 +134,44 @@ def _with_motion(
             ),
             _confirmation(shown, support.frames, len(equations)),
         ]
+    )
+
+
+def _drift_values(object_id: int, observed: Sequence[FrameObservation]) -> list[Value]:
+    """One displacement that explains the shifts of all frames, and what it leaves."""
+    found = [f.objects[object_id] for f in observed if object_id in f.objects]
+    drift = _consistency([o for o in found if o.visible_fraction >= _JUDGED_FRACTION])
+    if drift is None:
+        return []
+    offset = [round(1000 * x, 2) for x in drift.offset_m]
+    return [
+        *known_values("contour", drift.frames, shift_spread_px=rounded(drift.spread_px)),
+        Value(
+            key="offset_mm",
+            value=round(float(np.linalg.norm(offset)), 2),
+            unit="mm",
+            source="contour",
+            frames=drift.frames,
+            motion=[*offset, 0.0, 0.0, 0.0],
+        ),
+        *known_values(
+            "contour", drift.frames, drift_px=rounded(drift.drift_px), drift_mm=in_mm(drift.drift_m)
+        ),
+    ]
+
+
+def _consistency(judged: Sequence[ObjectObservation]) -> Consistency | None:
+    rows = [
+        (o.shift, o.jacobian, o.metres_per_px)
+        for o in judged
+        if o.shift is not None and o.jacobian is not None and o.metres_per_px is not None
+    ]
+    if not rows:
+        return None
+    return fit_consistency(
+        np.array([[s.x_px, s.y_px] for s, _, _ in rows]),
+        np.stack([J for _, J, _ in rows]),
+        np.array([m for _, _, m in rows]),
     )
 
 

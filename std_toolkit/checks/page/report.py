@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
+
 from std_toolkit import __version__
 from std_toolkit.checks import result
 from std_toolkit.checks.page import figures, inject_report, label_sections, overlay
-from std_toolkit.checks.page.scale_section import scale_fact, scale_table
 from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
+from std_toolkit.scene.model import ScaleReport
+from std_toolkit.scene.scale_model import differences
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,14 @@ class PageParts:
 
 
 _TEXT = Column(heading="", numeric=False)
+_SCALE_COLUMNS = (
+    Column(heading="factor", unit="m per unit", digits=5),
+    Column(heading="against the poses", unit="%", factor=100, digits=2, signed=True),
+    Column(heading="spread", unit="%, IQR", factor=100, digits=2),
+    Column(heading="standard error", unit="%", factor=100, digits=3),
+    Column(heading="deviation", unit="%", factor=100, digits=2),
+    Column(heading="measurements", digits=0),
+)
 
 
 def render_page(report: result.CheckReport, parts: PageParts) -> str:
@@ -49,7 +60,9 @@ def render_page(report: result.CheckReport, parts: PageParts) -> str:
             page.Section(
                 "inject",
                 "Smallest faults caught",
-                inject_report.detectability_blocks(report.detectability),
+                inject_report.detectability_blocks(report.detectability)
+                if report.detectability
+                else [],
             ),
             page.Section(
                 "overlays", "Overlays", label_sections.overlay_blocks(report, parts.pictures)
@@ -83,7 +96,7 @@ def _facts(report: result.CheckReport) -> list[page.Fact]:
         )
         if edges
         else page.Fact("contour to edge", NONE),
-        page.Fact("scale from", *scale_fact(report)),
+        page.Fact("scale from", *_scale_fact(report)),
     ]
 
 
@@ -131,13 +144,67 @@ def _scene(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
             ),
             page.Plot("scene", parts.view3d),
         ]
-    sources = scale_table(report)
+    sources = _scale_table(report)
     if sources is not None:
         blocks.append(sources)
     figure = figures.registration_figure(report, limit_px=report.gate("reprojection").limit)
     if figure is not None:
         blocks += [page.Heading("Camera poses over frames"), page.Plot("registration", figure)]
     return blocks
+
+
+def _scale_table(report: result.CheckReport) -> Table | None:
+    """All scale sources, and the sizes of the objects measured by the check; None without any."""
+    scale, sizes = report.summary.scale, report.summary.sizes
+    if scale is None and sizes is not None:
+        scale = ScaleReport(unit="metre", chosen="given", factor=1.0)
+    if scale is None or not (scale.estimates or sizes):
+        return None
+    applied = scale.applied_factor
+    estimates = list(scale.estimates)
+    if sizes is not None:
+        estimates.append(msgspec.structs.replace(sizes, factor=applied * sizes.factor))
+    used = {e.source for e in scale.used()}
+    rows = []
+    for e in estimates:
+        values = (e.factor, e.factor / applied - 1, e.spread, e.standard_error, e.sigma, e.count)
+        note = "used" if e.source in used else "check" if e is estimates[-1] and sizes else ""
+        cells = [c.cell(v, missing=NONE) for c, v in zip(_SCALE_COLUMNS, values, strict=True)]
+        rows.append(Row([Cell(text=e.source, note=note), *cells, Cell(text=e.note)]))
+    mean = ", the mean of the used sources, weighted by inverse variance" if len(used) > 1 else ""
+    notes = [
+        f"The camera poses have {applied:.6g} m per unit ({scale.chosen}), with a deviation of "
+        f"{100 * scale.applied_sigma:.2f} %{mean}. Deviations include the systematic error of the "
+        "kind of source.",
+        *(f"{d}." for d in differences(scale.estimates)),
+    ]
+    if sizes is not None:
+        notes.append(
+            "sizes: the labelled objects' CAD sizes against the camera poses, measured here."
+        )
+    return Table(
+        title="Sources of metric scale",
+        notes=notes,
+        columns=[
+            Column(heading="source", numeric=False),
+            *_SCALE_COLUMNS,
+            Column(heading="", numeric=False),
+        ],
+        rows=rows,
+    )
+
+
+def _scale_fact(report: result.CheckReport) -> tuple[str, str]:
+    """Source of the metric scale, and the largest difference of its sources."""
+    scale = report.summary.scale
+    if scale is None:
+        return "given" if report.summary.registered else NONE, ""
+    name = "unknown" if scale.unit == "unknown" else scale.chosen
+    if len(scale.estimates) < 2:
+        return name, f"+- {100 * scale.applied_sigma:.2f} %" if scale.unit == "metre" else ""
+    worst = differences(scale.estimates)[0]
+    text = f"{len(scale.estimates)} sources, differ by {100 * worst.relative:.2f} %"
+    return name, f"{text} ({worst.sigma:.1f} standard deviations)"
 
 
 def _coverage(report: result.CheckReport, parts: PageParts) -> list[page.Block]:

@@ -14,8 +14,8 @@ from std_toolkit.checks.gates.frames import FrameFaults, find_frame_faults
 from std_toolkit.checks.gates.gate import Measured
 from std_toolkit.checks.gates.judge import judge_rows, judge_scene
 from std_toolkit.checks.inject.faults import Fault, apply_fault
-from std_toolkit.checks.measure.alignment import DepthShift, common_depth_shift
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame, open_for_work
+from std_toolkit.checks.measure.sensor_depth import DepthShift, common_depth_shift
 from std_toolkit.checks.result import (
     CheckReport,
     FrameCheck,
