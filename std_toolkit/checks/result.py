@@ -157,18 +157,16 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
         frames_seen: frames in which it is visible.
         values: what was measured; a value that was not is absent. By key:
             visible_fraction: median over the frames that see it.
-            edge_px: median over frames of the frame's median edge distance.
-            edge_p90_px: 90th percentile over frames of the frame's median.
-            edge_tail_px: median over frames of the frame's 90th percentile along the contour.
+            edge_px, edge_p90_px: median and 90th percentile over frames of the frame's median edge
+            distance; edge_tail_px: median of the frame's 90th percentile along the contour.
             edge_support: median fraction of the contour near an edge.
             edge_chance_px: edge distance of contours at random places nearby.
             depth_mm, depth_mad_mm: rendered minus sensor depth, diffuse objects only: median over
             frames of the frame's median, and of its median absolute deviation.
             depth_unscaled_mm: `depth_mm` without the bias common to all diffuse objects.
             distance_m: median distance of the surface from the camera.
-            shift_px: median length of the frames' best shifts of the contour.
-            shift_share: fraction of the frames that see it with a clear best shift.
-            shift_spread_px: median distance of the frames' shifts from their median.
+            shift_px, shift_spread_px: median length of the frames' best shifts of the contour, and
+            median distance from their median; shift_share: fraction of the frames that have one.
             offset_mm: length of the correction in the world that explains the shifts best.
             drift_px, drift_mm: part of the shifts that no correction explains, median over frames.
             motion_mm, motion_deg: significant translation between the label and the images of all

@@ -1,4 +1,4 @@
-"""Gates on the contour of a label, and on the certainty of the label."""
+"""Gates on the contour of a label, and on how well images and annotation determine it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from std_toolkit.checks.gates.gate import (
     unseen,
 )
 from std_toolkit.checks.gates.motion import is_small
-from std_toolkit.checks.result import CheckWarning, Number, ObjectCheck
+from std_toolkit.checks.measure.coverage import NARROW_DEG
+from std_toolkit.checks.result import CheckWarning, Number, ObjectCheck, Severity
 from std_toolkit.options import CheckOptions
 
 # With fewer frames that have a shift, drift cannot be distinguished from a mismatch.
@@ -24,6 +25,8 @@ CHANCE_PART = 0.6
 # A best shift in this fraction of the frames is sufficient evidence despite texture.
 ENOUGH_SHIFTS = 0.5
 _LARGE_OFFSET_MM = 3.0
+_LOW_VISIBILITY = 0.5
+_LARGE_STEP_DEG = 30.0
 
 
 def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
@@ -111,53 +114,63 @@ def _unpropagated(measured: Measured) -> Iterable[CheckWarning]:
             )
 
 
-def _offsets(measured: Measured) -> Iterable[CheckWarning]:
-    """The displacement by the shifts, where the motion was not measured."""
-    for item in measured.seen:
-        if item.value("motion_mm") is not None or not has_edges(item, measured.options):
-            continue
-        offset = item.value("offset_mm") or 0
-        if offset > _LARGE_OFFSET_MM:
-            yield CheckWarning(
-                severity="medium",
-                about=item.name,
-                problem=f"all frames together place it {offset:.1f} mm from its label",
-                advice="run `std-curate propagate --refine`",
-            )
-
-
-def _weak_directions(measured: Measured) -> Iterable[CheckWarning]:
-    for item in measured.seen:
-        direction = item.text("label_std_mm")
-        if direction:
-            yield CheckWarning(
-                severity="low",
-                about=item.name,
-                problem=direction,
-                advice="annotate it in a view perpendicular to that direction",
-            )
-
-
 def _weak_evidence(measured: Measured) -> Iterable[CheckWarning]:
-    for item in measured.seen:
-        if not has_edges(item, measured.options):
-            share = 100 * (item.value("edge_support") or 0)
-            yield CheckWarning(
-                severity="medium",
-                about=item.name,
-                problem=f"only {share:.0f} % of its contour is near an "
-                "image edge: the image weakly supports the label",
-                advice="inspect its close-ups; annotate it in a frame with more contrast",
-            )
-        elif not is_confirmed(item, measured.options):
-            edge, chance = item.value("edge_px"), item.value("edge_chance_px")
-            yield CheckWarning(
-                severity="medium",
-                about=item.name,
-                problem=f"its edge distance, {edge:.1f} px, is no better than chance "
-                f"({chance:.1f} px): the images do not support the label",
-                advice="inspect its close-ups",
-            )
+    """What the images lack to determine the labels."""
+    for item in measured.labelled:
+        for severity, problem, advice in _lacks(item, measured.options):
+            yield CheckWarning(severity=severity, about=item.name, problem=problem, advice=advice)
+
+
+def _lacks(item: ObjectCheck, options: CheckOptions) -> Iterable[tuple[Severity, str, str]]:
+    """Severity, problem and advice for each thing that the images of an object lack."""
+    if item.frames_seen == 0:
+        yield "high", "is not visible in any measured frame", "check its label and mesh"
+        return
+    if not has_edges(item, options):
+        yield (
+            "medium",
+            f"only {100 * (item.value('edge_support') or 0):.0f} % of its contour is near an image "
+            "edge: the image weakly supports the label",
+            "inspect its close-ups; annotate it in a frame with more contrast",
+        )
+    elif not is_confirmed(item, options):
+        yield (
+            "medium",
+            f"its edge distance, {item.value('edge_px'):.1f} px, is no better than chance "
+            f"({item.value('edge_chance_px'):.1f} px): the images do not support the label",
+            "inspect its close-ups",
+        )
+    offset = item.value("offset_mm") or 0
+    pooled = item.value("motion_mm") is None and has_edges(item, options)
+    if pooled and offset > _LARGE_OFFSET_MM:
+        yield (
+            "medium",
+            f"all frames together place it {offset:.1f} mm from its label",
+            "run `std-curate propagate --refine`",
+        )
+    parallax, step = item.value("parallax_deg"), item.value("largest_step_deg") or 0
+    if parallax is not None and parallax < NARROW_DEG:
+        yield (
+            "medium",
+            f"was seen over only {parallax:.0f} degrees: its depth is weakly determined",
+            "record a wider sweep around it",
+        )
+    if step > _LARGE_STEP_DEG:
+        yield (
+            "low",
+            f"its views have a gap of {step:.0f} degrees",
+            "record the missing directions if you need them",
+        )
+    visible = item.value("visible_fraction")
+    if visible is not None and visible < _LOW_VISIBILITY:
+        yield (
+            "low",
+            f"is half occluded in most frames (visible {100 * visible:.0f} %)",
+            "rearrange the objects if it must be visible in this scene",
+        )
+    direction = item.text("label_std_mm")
+    if direction:
+        yield "low", direction, "annotate it in a view perpendicular to that direction"
 
 
 GATES = (
@@ -188,7 +201,6 @@ GATES = (
         unit="px",
         advice="run `std-curate propagate --refine`; if only frames far from the annotated one "
         "are off, check the scale and the camera poses",
-        warn=_offsets,
     ),
     ObjectGate(
         key="drift",
@@ -207,7 +219,6 @@ GATES = (
         limit=lambda options: options.max_label_std_mm,
         unit="mm",
         advice="annotate it in another frame from a different side, or record a wider sweep",
-        warn=_weak_directions,
     ),
     ObjectGate(
         key="evidence",

@@ -13,7 +13,6 @@ from std_toolkit.checks import result
 from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
 from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
-from std_toolkit.checks.measure.coverage import NARROW_DEG
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
 from std_toolkit.errors import ToolkitError
@@ -34,8 +33,6 @@ _added: list[Gate] = []
 # From the best verdict to the worst: what nobody could see is worse than a doubt.
 _ORDER: tuple[result.Verdict, ...] = ("good", "doubtful", "open", "bad")
 _SEVERITY: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
-_LOW_VISIBILITY = 0.5
-_LARGE_STEP_DEG = 30.0
 
 
 def all_gates() -> tuple[Gate, ...]:
@@ -246,42 +243,8 @@ def _find_warnings(
     by_key = {g.key: g for g in gates}
     failed = [by_key[row.key].failure(row) for row in rows if row.status == "fail"]
     names = {item.name for item in measured.objects}
-    rest = [w for item in measured.labelled for w in _views(item)]
-    rest += [w for gate in gates for w in gate.warnings(measured)]
+    rest = [w for gate in gates for w in gate.warnings(measured)]
     return failed + sorted(rest, key=lambda w: (_SEVERITY[w.severity], w.about not in names))
-
-
-def _views(item: result.ObjectCheck) -> Iterable[result.CheckWarning]:
-    """What the views of an object lack."""
-
-    def warning(severity: result.Severity, problem: str, advice: str) -> result.CheckWarning:
-        return result.CheckWarning(
-            severity=severity, about=item.name, problem=problem, advice=advice
-        )
-
-    if item.frames_seen == 0:
-        yield warning("high", "is not visible in any measured frame", "check its label and mesh")
-        return
-    parallax, step = item.value("parallax_deg"), item.value("largest_step_deg") or 0
-    visible = item.value("visible_fraction")
-    if parallax is not None and parallax < NARROW_DEG:
-        yield warning(
-            "medium",
-            f"was seen over only {parallax:.0f} degrees: its depth is weakly determined",
-            "record a wider sweep around it",
-        )
-    if step > _LARGE_STEP_DEG:
-        yield warning(
-            "low",
-            f"its views have a gap of {step:.0f} degrees",
-            "record the missing directions if you need them",
-        )
-    if visible is not None and visible < _LOW_VISIBILITY:
-        yield warning(
-            "low",
-            f"is half occluded in most frames (visible {100 * visible:.0f} %)",
-            "rearrange the objects if it must be visible in this scene",
-        )
 
 
 def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:
