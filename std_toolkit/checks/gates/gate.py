@@ -93,11 +93,6 @@ class Measured:
         return [o for o in self.objects if o.label in LABELLED]
 
     @property
-    def seen(self) -> list[ObjectCheck]:
-        """Those of them that a frame shows well enough."""
-        return [o for o in self.labelled if o.frames_seen]
-
-    @property
     def has_contours(self) -> bool:
         """Whether the contour of any label was measured in any frame."""
         return any(f.edge_px is not None for o in self.objects for f in o.frames)
