@@ -5,8 +5,7 @@ python examples/05_depth_metrics.py
 
 import numpy as np
 
-from benchmark.metrics.depth.accumulate import DepthMetrics
-from benchmark.metrics.depth.depth_numpy import depth_errors
+from benchmark.metrics import DepthMetrics, depth_errors
 
 # Metres. A table at 0.8 m with a cup in front of it; the sensor misses half of the cup.
 true = np.full((48, 64), 0.8)

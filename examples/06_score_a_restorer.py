@@ -1,13 +1,15 @@
 """Score two methods that restore depth on your own labelled scenes.
 
 python examples/06_score_a_restorer.py [FOLDER OF SCENES WITH GROUND TRUTH]
+
+`std-bench --method raw nearest --split scenes --data FOLDER --out RESULTS` does the same.
 """
 
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmark.cli.bench import main as std_bench
+from benchmark import evaluate
 from sensors.synthetic import RecordingOptions, make_recording, scene_from_truth
 from std_toolkit import JobOptions, render_ground_truth
 
@@ -21,14 +23,15 @@ def synthetic_scenes(folder: Path) -> Path:
     return folder / "scenes"
 
 
-def score(scenes: Path, results: Path) -> int:
-    """The same as the command line in a shell; returns its exit status."""
-    words = ["--method", "raw", "nearest", "--split", "scenes", "--no-speed", "--no-gallery"]
-    return std_bench([*words, "--data", str(scenes), "--out", str(results)])
+def main(scenes: Path) -> None:
+    table = evaluate(["raw", "nearest"], "scenes", data=scenes)
+    rmse = table.pivot(index="method", columns="subset", values="rmse")  # metres
+    print((1000 * rmse).round(1).to_string())
 
 
 if __name__ == "__main__":
-    with TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        scenes = Path(sys.argv[1]) if len(sys.argv) > 1 else synthetic_scenes(folder)
-        sys.exit(score(scenes, folder / "results"))
+    if len(sys.argv) > 1:
+        main(Path(sys.argv[1]))
+    else:
+        with TemporaryDirectory() as folder:
+            main(synthetic_scenes(Path(folder)))

@@ -6,15 +6,13 @@ python examples/07_write_your_own_restorer.py
 scores it beside the built-in ones.
 """
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions
+from benchmark import MethodOptions, Restored, View, evaluate
 
 
 class MedianDepth:
@@ -36,9 +34,8 @@ class MedianDepth:
         return answers
 
 
-def score(folder: Path) -> int:
-    """Score it on a small scene; returns the exit status of `std-bench`."""
-    from benchmark.cli.bench import main as std_bench
+def main(folder: Path) -> None:
+    """Score it on a small scene."""
     from sensors.synthetic import RecordingOptions, make_recording, scene_from_truth
     from std_toolkit import JobOptions, render_ground_truth
 
@@ -46,11 +43,10 @@ def score(folder: Path) -> int:
     make_recording(folder / "recording", options, jobs=JobOptions(workers=1))
     scene = scene_from_truth(folder / "recording", folder / "scenes" / "one")
     render_ground_truth(scene).raise_if_failed()
-    words = ["--method", "raw", f"{__file__}:MedianDepth", "--split", "scenes", "--no-speed"]
-    places = ["--data", str(folder / "scenes"), "--out", str(folder / "results")]
-    return std_bench([*words, "--no-gallery", *places])
+    table = evaluate(["raw", MedianDepth], "scenes", data=folder / "scenes")
+    print(table[["method", "subset", "rmse", "mae", "d105"]].round(4).to_string(index=False))
 
 
 if __name__ == "__main__":
     with TemporaryDirectory() as temporary:
-        sys.exit(score(Path(temporary)))
+        main(Path(temporary))

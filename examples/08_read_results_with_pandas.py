@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 
-from benchmark.evaluation.tasks.depth_results import read_results
+from benchmark import evaluate, read_results
 
 
 def table(results: Path) -> pd.DataFrame:
@@ -24,7 +24,6 @@ def table(results: Path) -> pd.DataFrame:
 
 def example_results(folder: Path) -> Path:
     """Two methods on a small synthetic scene."""
-    from benchmark.cli.bench import main as std_bench
     from sensors.synthetic import RecordingOptions, make_recording, scene_from_truth
     from std_toolkit import JobOptions, render_ground_truth
 
@@ -32,8 +31,7 @@ def example_results(folder: Path) -> Path:
     make_recording(folder / "recording", options, jobs=JobOptions(workers=1))
     scene = scene_from_truth(folder / "recording", folder / "scenes" / "one")
     render_ground_truth(scene).raise_if_failed()
-    words = ["--method", "raw", "nearest", "--split", "scenes", "--no-speed", "--no-gallery"]
-    std_bench([*words, "--data", str(folder / "scenes"), "--out", str(folder / "results")])
+    evaluate(["raw", "nearest"], "scenes", data=folder / "scenes", out=folder / "results")
     return folder / "results"
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from sensors.simulation.options import TurntableOptions
 from sensors.simulation.turntable import make_turntable
 from sensors.synthetic.shapes import tumbler
-from std_toolkit.scanning.options import ScanOptions
-from std_toolkit.scanning.scan_step import scan
+from std_toolkit import ScanOptions, scan
 
 
 def photograph(folder: Path) -> np.ndarray:

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from collections import defaultdict
-from dataclasses import astuple, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,29 +30,29 @@ import pandas as pd
 import scipy.io
 from numpy.typing import NDArray
 
-from sensors.materials.material_library import MaterialClass, load_library
-from sensors.pattern import make_pattern
-from sensors.render.sim_renderer import DRAFT_INFRARED
-from sensors.render.sim_scene import SimScene, TruthCaster
-from sensors.simulation.dotted_plane import measure_plane
-from sensors.simulation.options import SimulationOptions
-from sensors.simulation.set_report import ErrorTally
-from sensors.simulation.simulated_set import parts_cache
-from sensors.simulation.simulator import Simulator
-from sensors.simulation.trial import (
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from perf.clear_depth import glass
+from perf.dotted_plane import measure_plane
+from perf.trial import (
+    CAMERA,
+    SENSOR,
     VESSELS,
     WINDOW_PX,
-    ClearShares,
     TrialScene,
     TrialView,
-    clear_shares,
     measurable_pixels,
     render_view,
     small_holes,
     tiles,
     vessels,
 )
-from sensors.specs import load_sensor
+from sensors.materials.material_library import MaterialClass, load_library
+from sensors.pattern import make_pattern
+from sensors.render.sim_renderer import DRAFT_INFRARED
+from sensors.simulation.options import SimulationOptions
+from sensors.simulation.set_report import ErrorTally
+from sensors.simulation.simulated_set import parts_cache
+from sensors.simulation.simulator import Simulator
 from sensors.stereo import disparity_to_depth, make_matcher
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import load_mesh
@@ -64,8 +64,6 @@ from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh
 
-SENSOR = load_sensor("d415")
-CAMERA = SENSOR.infrared_camera(640, 360)
 IN_A_VIEW = 6
 DIFFUSE_VESSELS = 12
 TWINS, OWN = "D435, painted twins", "D415, cloth with things, its own depth"
@@ -211,118 +209,6 @@ def add_ycb(table: Tables, data: Path) -> None:
         core = cv2.erode(where.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
         table["RealSense, household things, all"].add(raw[where], exact[where])
         table["RealSense, household things, core"].add(raw[core], exact[core])
-
-
-# The bottle without its cap, in the left infrared image of the D415.
-BOTTLE = ((205, 120), (232, 108), (255, 125), (318, 180), (335, 215), (295, 248), (262, 222))
-GLASS_TRIALS: dict[str, tuple[str, dict[str, Any], tuple[str, ...], str]] = {
-    "thin, lying bottles": (
-        "glass_thin",
-        {"floor": "fabric_cotton", "lying": True, "distance_m": 0.5, "elevation_deg": 80},
-        ("bottle",) * 2,
-        "D415, lying bottle (fitted)",
-    ),
-    "hazy plastic, mugs and bowls": (
-        "glass_glossy",
-        {"floor": "wood_ebony", "distance_m": 0.68, "elevation_deg": 50},
-        ("mug", "bowl", "mug", "bowl", "mug", "mug"),
-        "123, three boxes (fitted)",
-    ),
-    "thin, standing and lying bottles": (
-        "glass_thin",
-        {"floor": "fabric_cotton", "distance_m": 0.55, "elevation_deg": 35},
-        ("bottle",) * 3,
-        "080, four bottles",
-    ),
-    "clear glass, vessels": (
-        "glass_clear",
-        {"floor": "wood_pine", "distance_m": 0.68, "elevation_deg": 45},
-        VESSELS * 2,
-        "130, plastic and glass",
-    ),
-    "refractive glass, vessels": (
-        "glass_refractive",
-        {"floor": "wood_pine", "distance_m": 0.68, "elevation_deg": 45},
-        VESSELS * 2,
-        "130, plastic and glass",
-    ),
-}
-
-
-def glass(renderer: Any, data: Path, seeds: int) -> pd.DataFrame:
-    """What is measured where glass is, simulated and real."""
-    rows = {}
-    for name, (material, place, categories, _) in GLASS_TRIALS.items():
-        found = []
-        for seed in range(seeds):
-            trial = vessels([("transparent", material, c) for c in categories], seed, **place)
-            view = render_view(trial, SENSOR, CAMERA, renderer, options=DRAFT_INFRARED, seed=seed)
-            floor = SimScene(trial.scene.objects[:1], trial.scene.environment)
-            bare = TruthCaster(floor).maps(CAMERA, trial.T_world_ir).depth
-            found.append(
-                clear_shares(view.depth, view.exact, bare, view.mask > 0, infrared=view.left)
-            )
-        rows[f"simulated {name}"] = np.mean([astuple(f) for f in found], axis=0)
-    if data.is_dir():
-        rows["D415, lying bottle (fitted)"] = astuple(real_bottle(data / "d415_stereo_pair"))
-        for number, label in (
-            ("123", "123, three boxes (fitted)"),
-            ("080", "080, four bottles"),
-            ("130", "130, plastic and glass"),
-        ):
-            rows[label] = astuple(real_glass(data, number))
-    columns = [f.name for f in fields(ClearShares)]
-    return pd.DataFrame(rows, index=columns).T.astype({"pixels": int})
-
-
-def real_glass(data: Path, number: str) -> ClearShares:
-    """A capture of ClearGrasp; the background is the plane of its table."""
-    stem = data / "cleargrasp_real" / "real-val" / f"000000{number}"
-    depth, twin = (
-        np.nan_to_num(read_exr_depth(Path(f"{stem}-{kind}-depth-img.exr")))
-        for kind in ("transparent", "opaque")
-    )
-    mask = np.asarray(read_png(Path(f"{stem}-mask.png")), np.uint8)
-    inside = (mask if mask.ndim == 2 else mask[..., 0]) > 0
-    around = (cv2.dilate(inside.astype(np.uint8), np.ones((41, 41), np.uint8)) == 0) & (twin > 0)
-    h, w = inside.shape
-    y, x = np.nonzero(around)
-    # A plane is linear in the inverse of the depth.
-    a = np.stack([x / w, y / h, np.ones(len(x))], axis=1)
-    rng = np.random.default_rng(0)
-    best = np.zeros(len(x), bool)
-    for _ in range(200):
-        three = rng.integers(len(x), size=3)
-        if np.linalg.matrix_rank(a[three]) < 3:
-            continue
-        plane = np.linalg.solve(a[three], 1 / twin[around][three])
-        near = abs(1 / np.maximum(a @ plane, 1e-3) - twin[around]) < 0.01
-        best = near if near.sum() > best.sum() else best
-    plane = np.linalg.lstsq(a[best], 1 / twin[around][best], rcond=None)[0]
-    rows, columns = np.mgrid[:h, :w]
-    table = 1 / (columns / w * plane[0] + rows / h * plane[1] + plane[2])
-    return clear_shares(depth, twin, table, inside)
-
-
-def real_bottle(folder: Path) -> ClearShares:
-    """The D415's bottle. Its surface is unknown: 45 mm, 3/4 of its width, above the cloth."""
-    left = read_png(folder / "0000_ir_l.png")[..., 0].astype(np.uint8)
-    depth = read_depth(folder / "0000_depth.png", scale=0.001)
-    mask = np.zeros(left.shape, np.uint8)
-    cv2.fillPoly(mask, [np.array(BOTTLE)], 1)
-    wide, narrow = (cv2.dilate(mask, np.ones((k, k), np.uint8)) > 0 for k in (31, 9))
-    ring = wide & ~narrow & (depth > 0.4)
-    y, x = np.nonzero(ring)
-
-    def terms(x: Any, y: Any) -> Any:
-        u, v = x / 640, y / 360
-        return np.stack([u, v, u * u, v * v, np.ones_like(u)], axis=-1)
-
-    cloth = np.linalg.lstsq(terms(x, y), 1 / depth[ring], rcond=None)[0]
-    rows, columns = np.mgrid[:360, :640]
-    behind = 1 / (terms(columns, rows) @ cloth)
-    shares = clear_shares(depth, behind - 0.045, behind, mask > 0, infrared=left)
-    return replace(shares, median_mm=float("nan"), surface=float("nan"))
 
 
 def bounds(renderer: Any, scenes: int) -> bool:

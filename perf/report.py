@@ -23,7 +23,7 @@ from bench_score import picture, write_std
 
 from benchmark.evaluation.manifest import MANIFEST, Manifest
 from benchmark.evaluation.results import TABLE, read_table
-from benchmark.metrics.depth.tally import NAMES
+from benchmark.metrics.depth.figures import NAMES
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color

@@ -4,10 +4,9 @@ The names below are imported on first use: `import std_toolkit` loads none of th
 the steps need.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
-from std_toolkit.plugins import install
+from std_toolkit.plugins import install, lazy_names
 
 if TYPE_CHECKING:
     from std_toolkit.checks.check_step import run_check
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
     from std_toolkit.poses.pose_step import estimate_poses, failed_gates
     from std_toolkit.rendering.ground_truth import read_ground_truth, rendered_frames
     from std_toolkit.rendering.render_step import render_ground_truth
+    from std_toolkit.scanning.options import ScanOptions
+    from std_toolkit.scanning.scan_step import scan
     from std_toolkit.scene.scene import Scene
 
 __version__ = "0.2.0"
@@ -49,6 +50,7 @@ __all__ = [
     "PoseOptions",
     "PropagateOptions",
     "RenderOptions",
+    "ScanOptions",
     "Scene",
     "ToolkitError",
     "__version__",
@@ -65,6 +67,7 @@ __all__ = [
     "rendered_frames",
     "run_check",
     "run_label_command",
+    "scan",
     "set_pose",
     "solve_pnp",
 ]
@@ -81,10 +84,11 @@ _MODULES = {
     "PoseOptions": "options",
     "PropagateOptions": "options",
     "RenderOptions": "options",
+    "ScanOptions": "scanning.options",
     "Scene": "scene.scene",
     "ToolkitError": "errors",
-    "add_model": "labels.label",
-    "add_object": "labels.label",
+    "add_model": "labels.entry.label",
+    "add_object": "labels.entry.label",
     "estimate_poses": "poses.pose_step",
     "export_scene": "exporters.export_step",
     "failed_gates": "poses.pose_step",
@@ -95,23 +99,17 @@ _MODULES = {
     "render_ground_truth": "rendering.render_step",
     "rendered_frames": "rendering.ground_truth",
     "run_check": "checks.check_step",
-    "run_label_command": "labels.label_command",
-    "set_pose": "labels.label",
-    "solve_pnp": "labels.pnp",
+    "run_label_command": "labels.entry.label_command",
+    "scan": "scanning.scan_step",
+    "set_pose": "labels.entry.label",
+    "solve_pnp": "labels.entry.pnp",
 }
 
 install()
 
 
 if not TYPE_CHECKING:  # otherwise type checkers would accept misspelt names
-
-    def __getattr__(name: str) -> object:
-        module = _MODULES.get(name)
-        if module is None:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value: object = getattr(import_module(f"{__name__}.{module}"), name)
-        globals()[name] = value
-        return value
+    __getattr__ = lazy_names(__name__, _MODULES)
 
 
 def __dir__() -> list[str]:

@@ -80,7 +80,6 @@ EXTRAS: dict[str, str] = {
     "manifold3d": "scan",
     "mitsuba": "sim",
     "mujoco": "sim",
-    "numba": "scan",
     "onnx": "train",
     "onnxruntime": "restore",
     "onnxscript": "train",

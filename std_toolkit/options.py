@@ -98,6 +98,9 @@ class ImageOptions:
     """intrinsics file, or fx,fy,cx,cy in pixels (default: those of the format)"""
     distortion: str | None = None
     """OpenCV coefficients k1,k2,p1,p2[,k3[,k4,k5,k6]] (default: those of the file)"""
+    undistort_fov: Annotated[float, msgspec.Meta(ge=3, le=136)] | None = None
+    """undistort the images to a pinhole with this horizontal field of view in degrees (default: a
+    fisheye lens to a pinhole of the same focal length; other lenses keep their distortion)"""
     skip_unpaired: bool = False
     """skip frames that lack colour or depth"""
     off_centre: bool = False
@@ -416,6 +419,8 @@ class ExportOptions:
     drop_bad_frames: bool = False
     """leave out frames in which the check found a wrong camera pose, shifted depth, an unreadable
     file, or an object that does not fit; needs a current report of `std-curate check`"""
+    settings: tuple[str, ...] = field(default=(), metadata={"option": "set"})
+    """NAME=VALUE, own settings of an exporter plug-in"""
     overwrite: bool = False
     """replace an earlier export"""
 

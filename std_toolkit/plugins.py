@@ -1,20 +1,22 @@
-"""Plug-in registries, and aliases for module names of version 0.1.
+"""Plug-ins by name, and lazy names of the packages of this distribution.
 
-A plug-in is built in, installed as an entry point, or named as `package.module:attribute`. The
-aliases keep plug-ins written for 0.1 working: `import benchmark.pose_methods.protocol` gives the
-module `benchmark.methods.protocol`, with a `DeprecationWarning`. The four packages call `install`
-when they are imported.
+A plug-in is built in, installed as an entry point, or named as `package.module:attribute` or
+`path/to/file.py:attribute`. CONTRIBUTING.md has an example of each kind. The four packages call
+`install` when they are imported.
 """
 
 from __future__ import annotations
 
 import importlib
 import sys
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib.abc import Loader, MetaPathFinder
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
+Config = TypeVar("Config")
+
+_TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
+_FALSITIES = {"false": False, "no": False, "off": False, "0": False}
 
 
 def _module_of_file(path: str) -> ModuleType:
@@ -46,60 +52,8 @@ def _module_of_file(path: str) -> ModuleType:
     return sys.modules[name]
 
 
-# Module names that the guides of version 0.1 documented for user code.
-RENAMED: dict[str, str] = {
-    "annotator.agreement": "annotator.compare",
-    "benchmark.data.selection": "benchmark.data.frame",
-    "benchmark.data.source": "benchmark.data.splits",
-    "benchmark.grasp_methods.protocol": "benchmark.methods.protocol",
-    "benchmark.grasp_methods.registry": "benchmark.methods.registry",
-    "benchmark.grasping": "benchmark.metrics.grasp",
-    "benchmark.grasping.ap": "benchmark.metrics.grasp.ap",
-    "benchmark.grasping.collision": "benchmark.metrics.grasp.collision",
-    "benchmark.grasping.force_closure": "benchmark.metrics.grasp.force_closure",
-    "benchmark.grasping.graspnet_format": "benchmark.metrics.grasp.grasp",
-    "benchmark.methods.cleargrasp": "benchmark.methods.depth.cleargrasp",
-    "benchmark.methods.cleargrasp.global_optimization": (
-        "benchmark.methods.depth.cleargrasp.global_optimization"
-    ),
-    "benchmark.methods.cleargrasp.join": "benchmark.methods.depth.cleargrasp.join",
-    "benchmark.methods.full_size": "benchmark.methods.depth.full_size",
-    "benchmark.methods.settings": "benchmark.methods.registry",
-    "benchmark.metrics.depth_torch": "benchmark.metrics.depth.depth_torch",
-    "benchmark.metrics.resize": "benchmark.data.frame",
-    "benchmark.pose_methods.fitting": "benchmark.methods.pose.fitting",
-    "benchmark.pose_methods.protocol": "benchmark.methods.protocol",
-    "benchmark.pose_methods.registry": "benchmark.methods.registry",
-    "benchmark.pose_running.results": "benchmark.evaluation.tasks.pose_results",
-    "benchmark.pose_running.scoring": "benchmark.evaluation.tasks.pose_results",
-    "benchmark.protocols": "benchmark.metrics.protocols",
-    "benchmark.protocols.summary": "benchmark.evaluation.tasks.depth_results",
-    "benchmark.running.results": "benchmark.evaluation.tasks.depth_results",
-    "std_toolkit.checks.step": "std_toolkit.checks.check_step",
-    "std_toolkit.exporters.protocol": "std_toolkit.exporters.exporter",
-    "std_toolkit.geometry.depth": "std_toolkit.geometry.camera",
-    "std_toolkit.importers.protocol": "std_toolkit.importers.importer",
-    "std_toolkit.labels.refine.auto": "std_toolkit.labels.auto_refine",
-    "std_toolkit.labels.refine.solver": "std_toolkit.labels.refine.edges.solver",
-    "std_toolkit.poses.scale": "std_toolkit.poses.scale_sources",
-    "std_toolkit.poses.scale.source": "std_toolkit.poses.scale_sources",
-    "std_toolkit.poses.step": "std_toolkit.poses.pose_step",
-    "std_toolkit.rendering.protocol": "std_toolkit.rendering.renderer",
-}
-
 # The other packages of this distribution.
 SIBLINGS = frozenset({"annotator", "benchmark", "sensors"})
-
-# Packages that no longer exist; their modules were moved to several others.
-_GONE = frozenset(
-    {
-        "benchmark.grasp_methods",
-        "benchmark.pose_methods",
-        "benchmark.pose_running",
-        "benchmark.running",
-        "std_toolkit.poses.scale",
-    }
-)
 
 
 class Registry(Generic[T]):
@@ -117,6 +71,7 @@ class Registry(Generic[T]):
     def __init__(self, group: str, builtin: dict[str, str]) -> None:
         self.group = group
         self._targets = dict(builtin)
+        self._given: dict[str, T] = {}
 
     def names(self) -> list[str]:
         """All known names, built-in ones first."""
@@ -130,12 +85,24 @@ class Registry(Generic[T]):
     def __iter__(self) -> Iterator[str]:
         return iter(self.names())
 
+    @contextmanager
+    def holding(self, plugins: Mapping[str, T]) -> Iterator[None]:
+        """Know these objects by name, too, in this process until the block ends."""
+        self._given |= plugins
+        try:
+            yield
+        finally:
+            for name in plugins:
+                del self._given[name]
+
     def get(self, name: str) -> T:
         """Import and return the plug-in called `name`.
 
         Raises:
             ToolkitError: no such plug-in, or it cannot be imported.
         """
+        if name in self._given:
+            return self._given[name]
         if name in self._targets:
             return self._import(self._targets[name])
         for entry in self._entries():
@@ -166,30 +133,94 @@ class Registry(Generic[T]):
             ) from error
 
 
-class _Alias(Loader):
-    def __init__(self, new: str) -> None:
-        self.new = new
+def setting_of(text: str) -> tuple[str, str]:
+    """Name and value of `NAME=VALUE`, a plug-in's own setting.
 
-    def exec_module(self, module: ModuleType) -> None:
-        """Replace the module by that of the new name."""
-        old = module.__name__
-        warnings.warn(f"{old} is now {self.new}", DeprecationWarning, stacklevel=2)
-        sys.modules[old] = importlib.import_module(self.new)
+    Raises:
+        ToolkitError: the text has no name or no value.
+
+    >>> setting_of("reach=30")
+    ('reach', '30')
+    """
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
+    return name, value
 
 
-class _GonePackage(Loader):
-    def exec_module(self, module: ModuleType) -> None:
-        """Leave the package empty; look up its own names in their new module."""
-        new = RENAMED.get(module.__name__)
-        if new is None:
-            return
+def configured(config: Config, settings: Mapping[str, str], *, of: str = "method") -> Config:
+    """`config`, a dataclass, with the fields named in `settings` set.
 
-        def attribute(name: str) -> object:
-            if name.startswith("__"):
-                raise AttributeError(name)
-            return getattr(importlib.import_module(new), name)
+    Fields may be bool, int, float, str, literals, tuples of one of them (`96,192,384`), and any
+    of these or None (`none`).
 
-        module.__dict__["__getattr__"] = attribute
+    Args:
+        of: kind of the plug-in, for errors.
+
+    Raises:
+        ToolkitError: no such field, or text that is no value for it.
+    """
+    hints = typing.get_type_hints(type(config))
+    known = [field.name for field in fields(config)]  # type: ignore[arg-type]
+    changes: dict[str, Any] = {}
+    for name, text in settings.items():
+        if name not in known:
+            raise ToolkitError(
+                f"the {of} has no such setting", field=name, hint=f"it has {', '.join(known)}"
+            )
+        try:
+            changes[name] = _value(hints[name], text.strip())
+        except ValueError as error:
+            raise ToolkitError(str(error), field=name, value=text) from error
+    return replace(config, **changes)  # type: ignore[type-var]
+
+
+def _value(kind: Any, text: str) -> Any:
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Literal:
+        if text not in arguments:
+            raise ValueError(f"expected one of {', '.join(arguments)}")
+        return text
+    if origin in (types.UnionType, typing.Union):
+        if text.lower() == "none" and type(None) in arguments:
+            return None
+        (kind,) = (a for a in arguments if a is not type(None))
+        return _value(kind, text)
+    if origin is tuple:
+        parts = text.split(",")
+        if arguments[-1] is not Ellipsis and len(parts) != len(arguments):
+            raise ValueError(f"expected {len(arguments)} values with commas between them")
+        return tuple(_value(arguments[0], part.strip()) for part in parts)
+    if kind is bool:
+        if (truth := {**_TRUTHS, **_FALSITIES}.get(text.lower())) is None:
+            raise ValueError("expected true or false")
+        return truth
+    try:
+        return kind(text)
+    except ValueError:
+        raise ValueError(f"expected {'a whole number' if kind is int else 'a number'}") from None
+
+
+def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], object]:
+    """Return the `__getattr__` of a package whose names are imported on first use.
+
+    Args:
+        package: name of the package.
+        modules: submodule that defines each name, relative to the package.
+
+    >>> lazy_names("std_toolkit", {"SE3": "geometry.se3"})("SE3").__name__
+    'SE3'
+    """
+
+    def attribute(name: str) -> object:
+        module = modules.get(name)
+        if module is None:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value: object = getattr(importlib.import_module(f"{package}.{module}"), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return attribute
 
 
 class _Finder(MetaPathFinder):
@@ -199,35 +230,21 @@ class _Finder(MetaPathFinder):
         path: Sequence[str] | None = None,  # noqa: ARG002 (Python passes both)
         target: ModuleType | None = None,  # noqa: ARG002
     ) -> ModuleSpec | None:
-        """The alias of a renamed module, or a package of this distribution; None for others."""
-        if fullname in SIBLINGS:
-            # Not a folder of the user with this name.
-            init = Path(__file__).parent.parent / fullname / "__init__.py"
-            return (
-                spec_from_file_location(
-                    fullname, init, submodule_search_locations=[str(init.parent)]
-                )
-                if init.is_file()
-                else None
-            )
-        if fullname in _GONE:
-            return ModuleSpec(fullname, _GonePackage(), is_package=True)
-        new = RENAMED.get(fullname)
-        if new is None:
-            parent, _, name = fullname.rpartition(".")
-            if parent in _GONE or parent not in RENAMED:
-                return None
-            new = f"{importlib.import_module(RENAMED[parent]).__name__}.{name}"
-            if find_spec(new) is None:
-                return None
-        return ModuleSpec(fullname, _Alias(new))
+        """A package of this distribution, not a folder of the user with its name; else None."""
+        if fullname not in SIBLINGS:
+            return None
+        init = Path(__file__).parent.parent / fullname / "__init__.py"
+        if not init.is_file():
+            return None
+        return spec_from_file_location(
+            fullname, init, submodule_search_locations=[str(init.parent)]
+        )
 
 
 _FINDER = _Finder()
 
 
 def install() -> None:
-    """Make modules importable under their old names, and find the packages of this distribution."""
+    """Find the packages of this distribution before folders of the user with their names."""
     if _FINDER not in sys.meta_path:
-        # First in the list: the others would load the modules of a renamed package twice.
         sys.meta_path.insert(0, _FINDER)

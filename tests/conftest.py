@@ -10,9 +10,11 @@ import shutil
 from collections.abc import Callable, Generator, Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import pytest
+
+from tests.skips import program_missing, refuse_report
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -45,6 +47,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if "PYTEST_XDIST_WORKER" in os.environ and not config.pluginmanager.hasplugin("randomly"):
         slow = {item.path for item in items if item.get_closest_marker("slow")}
         items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """In continuous integration few skips are allowed."""
+    report = yield
+    refuse_report(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """The same for files that are skipped as a whole."""
+    report = yield
+    refuse_report(report)
+    return report
 
 
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
@@ -85,14 +103,6 @@ def test_data() -> Path:
     return folder
 
 
-def program_missing(program: str, package: str) -> NoReturn:
-    """Skip for want of a program; in continuous integration none may be missing."""
-    reason = f"needs {program}, Debian's package {package}; `make test` installs it"
-    if os.environ.get("CI") == "true":
-        pytest.fail(reason)
-    pytest.skip(reason)
-
-
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """The system's Chromium without a window.
@@ -128,7 +138,7 @@ def tiny_dreds(made_once: MakeOnce) -> Path:
     own, in about 15 s of processor time, less where the convex parts of its shapes are kept; so
     mark tests that need it `slow`, and copy it before changing anything in it.
     """
-    for package in ("mitsuba", "mujoco", "coacd", "manifold3d", "numba"):
+    for package in ("mitsuba", "mujoco", "coacd", "manifold3d"):
         if find_spec(package) is None:
             pytest.skip(f"the simulator's extra is not installed: no {package}")
     from sensors.simulation.options import SimulationOptions

@@ -35,8 +35,8 @@ PRINTED = {
     "03_label_from_clicks": "mm from the truth",
     "04_render_ground_truth": "glass: ",
     "05_depth_metrics": "50% of its pixels have depth",
-    "06_score_a_restorer": "nearest  specular+transparent",
-    "07_write_your_own_restorer": "07_write_your_own_restorer.py.MedianDepth",
+    "06_score_a_restorer": "specular+transparent",
+    "07_write_your_own_restorer": "MedianDepth specular+transparent",
     "08_read_results_with_pandas": "specular+transparent",
     "09_scan_an_object": "scanned: ",
 }

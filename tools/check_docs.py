@@ -36,6 +36,7 @@ API: dict[str, tuple[str, dict[str, list[str]]]] = {
                 *("PropagateOptions", "propagate_labels", "refine_labels", "RenderOptions"),
                 *("render_ground_truth", "rendered_frames", "read_ground_truth", "CheckOptions"),
                 *("run_check", "ExportOptions", "export_scene", "JobOptions"),
+                *("ScanOptions", "scan"),
             ],
             "std_toolkit.cameras": ["LiveFrame", "CameraRequest", "LiveCamera"],
             "std_toolkit.importers.importer": ["Importer", "Recording", "SourceFrame"],
@@ -44,7 +45,7 @@ API: dict[str, tuple[str, dict[str, list[str]]]] = {
     "benchmark": (
         "Benchmark in Python",
         {
-            "benchmark": ["Restorer", "RestoredFrame"],
+            "benchmark": ["evaluate", "read_results", "Restorer", "RestoredFrame"],
             "benchmark.methods.protocol": ["View", "Restored", "Restorer"],
             "benchmark.methods.registry": ["MethodOptions", "make_restorer"],
             "benchmark.data.splits": ["open_split", "get_split", "iterate"],
@@ -193,10 +194,8 @@ def help_page(program: str, first: str, live: bool) -> str:
     out = io.StringIO()
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(out):
         made.main([*words, "--help"] if "--help" not in words else words)
-    # Older spellings and the options of every program.
-    return (
-        out.getvalue() + " --help --version --quiet --debug --print-completion --task --check-data"
-    )
+    # And the options of every program.
+    return out.getvalue() + " --help --version --quiet --debug --print-completion"
 
 
 def check_docstrings() -> Iterator[str]:

@@ -27,6 +27,15 @@ _OF_ROOT = re.compile(r"\]\((?!docs/|#|[a-z]+:)([^)\s]+)\)")
 _PAGES = {"data_spec.md": "data_spec.md", "CHANGELOG.md": "changelog.md"}
 
 
+def on_startup(**_: Any) -> None:
+    """Find `tests` and `tools` in the repository.
+
+    mkdocs takes back what a hook adds to `sys.path` while it is loaded; then `tests` would be that
+    of a dependency.
+    """
+    sys.path.insert(0, str(ROOT))
+
+
 def on_pre_build(config: Any) -> None:  # noqa: ARG001 (mkdocs passes it)
     """Fail where code does not run, an option does not exist or a docstring is missing."""
     problems = check_all()

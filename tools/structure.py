@@ -27,10 +27,11 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
         ("errors",),
-        ("log", "options", "plugins"),
+        ("log", "options", "plugins", "settings"),
         ("compiled",),
         ("",),
-        ("geometry", "io", "jobs"),
+        ("geometry", "io"),
+        ("jobs",),
         ("cameras", "html", "scene"),
         ("poses", "rendering"),
         ("importers",),
@@ -48,7 +49,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cli",),
     ),
     "sensors": (
-        ("", "assets", "compiled", "materials", "output", "specs", "viewpoints"),
+        ("", "assets", "materials", "output", "specs", "viewpoints"),
         ("align", "lighting", "pattern", "physics", "stereo"),
         ("record", "render"),
         ("depth_models",),

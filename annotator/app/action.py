@@ -50,7 +50,6 @@ class Action:
 
 
 def dialog_action(
-    dialog: str,
     id: str,
     menu: str,
     title: str,
@@ -60,17 +59,9 @@ def dialog_action(
     enabled: Callable[[Controller], bool] = lambda _: True,
     group: str = "",
 ) -> Action:
-    """Return an action that opens a dialog of the front end."""
+    """Return an action that opens the front end's dialog of its name."""
     return Action(
-        id,
-        menu,
-        title,
-        keys,
-        tip,
-        lambda c: c.ask(dialog),
-        enabled=enabled,
-        group=group,
-        asks=dialog,
+        id, menu, title, keys, tip, lambda c: c.ask(id), enabled=enabled, group=group, asks=id
     )
 
 

@@ -97,7 +97,9 @@ def with_key_table(guide: str) -> str:
     _, mark, after = rest.partition(END)
     if not mark:
         raise ValueError("the guide has no marks for the tables of keys")
-    return f"{before}{BEGIN}\n{key_table()}\n{END}{after}"
+    # Steps and angles in the table are settings, which tools/figures.py need not find measured.
+    table = f"<!--fact-->\n\n{key_table()}\n\n<!--/-->"
+    return f"{before}{BEGIN}\n\n{table}\n\n{END}{after}"
 
 
 if __name__ == "__main__":

@@ -14,12 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annotator.app import events, tasks, view_options
-from annotator.session import (
-    ChangeObject,
-    Move,
-    Session,
-    SetPoses,
-)
+from annotator.session import ChangeObject, Move, Session, SetPoses
 from annotator.session.edits import AnyEdit, Axes
 from annotator.session.session import Change
 from std_toolkit.errors import ToolkitError
@@ -69,6 +64,7 @@ class Controller:
         penetrations: penetrations between objects or with the table, deepest first.
         penetrations_frame: the frame for which they hold; None for all frames.
         unmeasured: names of objects whose residuals were removed by their last edit.
+        start, start_aside, cancel_aside: computations in the background; see `tasks.Work`.
     """
 
     def __init__(
@@ -100,6 +96,8 @@ class Controller:
         self.penetrations_frame: int | None = None
         self.unmeasured: set[str] = set()
         self._work = tasks.Work(runner, self.emit)
+        self.start, self.start_aside = self._work.start, self._work.start_aside
+        self.cancel_aside = self._work.cancel_aside
         self._listeners: list[Callable[[events.Event], None]] = []
         self._drag: tuple[str, int, SE3] | None = None
         session.subscribe(self._on_change)
@@ -147,10 +145,8 @@ class Controller:
         if not moved and change.kind == "reread":
             moved = (*self.residuals, *self.weak_directions, *self.ranks, *self.textures)
         for name in moved:
-            self.residuals.pop(name, None)
-            self.weak_directions.pop(name, None)
-            self.ranks.pop(name, None)
-            self.textures.pop(name, None)
+            for found in (self.residuals, self.weak_directions, self.ranks, self.textures):
+                found.pop(name, None)
         self.unmeasured = (self.unmeasured | set(moved)) & names
         self.emit(events.Event("edited", objects=change.objects, text=change.title))
 
@@ -289,64 +285,48 @@ class Controller:
         turn: tuple[float, float, float] = (0, 0, 0),
     ) -> None:
         """Move the selected object along the selected axes; values are in steps."""
-        if self.selected is None:
-            self.tell("Select an object first.", "warning")
-            return
-        self.apply(
-            Move(
-                object=self.selected,
-                frame=self.active_frame,
-                axes=self.axes,
-                shift_mm=[self.step * s for s in shift],
-                turn_deg=[self.step * s for s in turn],
-            )
-        )
-
-    def T_cam_of(self, frame: int, frame_name: str) -> SE3 | None:
-        """Transform of "world" or "camera 12" to the camera of a frame; None if unknown."""
-        if frame_name == f"camera {frame}":
-            return SE3.identity()
-        T_world_cam = self.session.T_world_cam(frame)
-        if T_world_cam is None or frame_name == "world":
-            return None if T_world_cam is None else T_world_cam.inverse()
-        T_world_other = self.session.T_world_cam(int(frame_name.split()[-1]))
-        return None if T_world_other is None else T_world_cam.inverse() @ T_world_other
-
-    def up(self, frame: int) -> NDArray[np.float64]:
-        """Up direction (3,) in the camera of a frame: the table's normal, or up in its image."""
-        T_cam_plane = None if self.table is None else self.T_cam_of(frame, self.table.plane.frame)
-        if self.table is None or T_cam_plane is None:
-            return np.array([0.0, -1.0, 0.0])
-        return np.asarray(T_cam_plane.R @ self.table.plane.normal)
+        self._move(self.axes, self.step * np.array(turn), shift_mm=self.step * np.array(shift))
 
     def yaw(self, steps: float) -> None:
         """Turn the selected object about the table's normal; positive: its near side to the right.
 
         The axes of the mesh do not matter.
         """
+        self._move("camera", steps * self.step * self.up(self.active_frame))
+
+    def flip(self, axis: int, degrees: float = 180.0) -> None:
+        """Rotate the selected object about one of its own axes through its centre."""
+        self._move("object", degrees * np.eye(3)[axis])
+
+    def _move(
+        self,
+        axes: Axes,
+        turn_deg: NDArray[np.float64],
+        *,
+        shift_mm: NDArray[np.float64] | None = None,
+    ) -> None:
         if self.selected is None:
             self.tell("Select an object first.", "warning")
             return
-        turn = steps * self.step * self.up(self.active_frame)
+        shift = np.zeros(3) if shift_mm is None else shift_mm
         self.apply(
             Move(
                 object=self.selected,
                 frame=self.active_frame,
-                axes="camera",
-                turn_deg=[float(x) for x in turn],
+                axes=axes,
+                shift_mm=shift.tolist(),
+                turn_deg=turn_deg.tolist(),
             )
         )
 
-    def flip(self, axis: int, degrees: float = 180.0) -> None:
-        """Rotate the selected object about one of its own axes through its centre."""
-        if self.selected is None:
-            self.tell("Select an object first.", "warning")
-            return
-        turn = [0.0, 0.0, 0.0]
-        turn[axis] = degrees
-        self.apply(
-            Move(object=self.selected, frame=self.active_frame, axes="object", turn_deg=turn)
+    def up(self, frame: int) -> NDArray[np.float64]:
+        """Up direction (3,) in the camera of a frame: the table's normal, or up in its image."""
+        T_cam_plane = (
+            None if self.table is None else self.session.T_cam_of(frame, self.table.plane.frame)
         )
+        if self.table is None or T_cam_plane is None:
+            return np.array([0.0, -1.0, 0.0])
+        return np.asarray(T_cam_plane.R @ self.table.plane.normal)
 
     def mark(self, status: str) -> None:
         """Set the status of the selected object."""
@@ -393,33 +373,3 @@ class Controller:
     def task(self) -> tasks.Task | None:
         """The running computation that the user started, or None."""
         return self._work.task
-
-    def start(
-        self,
-        title: str,
-        work: Callable[[tasks.Task], Any],
-        finish: Callable[[Any], None],
-        *,
-        alone: bool = False,
-    ) -> tasks.Task | None:
-        """Run `work(task)` in the background, then `finish(result)` here; one at a time.
-
-        Args:
-            alone: block edits meanwhile; the computation cannot be cancelled.
-        """
-        return self._work.start(title, work, finish, alone=alone)
-
-    def start_aside(
-        self,
-        key: str,
-        work: Callable[[tasks.Task], Any],
-        finish: Callable[[Any], None],
-        *,
-        delay: float = 0.0,
-    ) -> None:
-        """Run `work(task)` as an automatic update, then `finish(result)` here; see `Work`."""
-        self._work.start_aside(key, work, finish, delay=delay)
-
-    def cancel_aside(self, *keys: str) -> None:
-        """Cancel the automatic updates with these keys."""
-        self._work.cancel_aside(*keys)

@@ -7,12 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from annotator.app import label_questions, operations, pose_checks, questions
+from annotator.app import label_questions, mesh_import, operations, pose_checks, questions
 from annotator.app.action_table import key_rows
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.mesh_folder import MeshFolder, remember_folder
-from annotator.app.operations import MeshSize, NewMesh, measure_mesh
+from annotator.app.mesh_import import MeshSize, NewMesh, measure_mesh
 from annotator.app.verdicts import doubtful_objects
 from annotator.session import ChangeObject, SetSymmetry
 from std_toolkit import __version__
@@ -165,7 +165,7 @@ class Dialogs:
         """Ask about meshes one by one, then import them all as one edit."""
         if not waiting:
             if known:
-                operations.import_meshes(self._c, known, then)
+                mesh_import.import_meshes(self._c, known, then)
             return
         (mesh, size), *rest = waiting
         name = mesh.name or mesh.path.name
@@ -181,14 +181,14 @@ class Dialogs:
                 self._ask_units(rest, [*known, replace(new, faces=faces)], then)
 
             if size.faces > MANY_FACES:
-                self._ask(questions.decimate_question(name, size, FEWER_FACES, decide, skip))
+                self._ask(mesh_import.decimate_question(name, size, FEWER_FACES, decide, skip))
             else:
                 decide("keep")
 
         if size.units == ("m",):
             react("m")
         else:
-            self._ask(questions.unit_question(name, size, react, skip))
+            self._ask(mesh_import.unit_question(name, size, react, skip))
 
     def _done_anyway(self) -> None:
         name = self._c.selected

@@ -26,18 +26,16 @@ MEGABYTE = 2**20
 
 
 class BackgroundReader:
-    """Calls `read(item)` for items in order in threads that exist only while there is work.
+    """Calls `read(item)` for items in order in a thread that exists only while there is work.
 
     Args:
         read: processes an item; a ToolkitError is logged and the next item follows.
-        threads: number of threads.
     """
 
-    def __init__(self, read: Callable[[int], object], *, threads: int = 1) -> None:
+    def __init__(self, read: Callable[[int], object]) -> None:
         self._read = read
-        self._threads = threads
         self._waiting: deque[int] = deque()
-        self._running = 0
+        self._running = False
         self._closed = False
         self._changed = threading.Condition()
 
@@ -47,13 +45,9 @@ class BackgroundReader:
             if self._closed:
                 return
             self._waiting = deque(dict.fromkeys(items))
-            for _ in range(min(self._threads, len(self._waiting)) - self._running):
-                self._running += 1
+            if self._waiting and not self._running:
+                self._running = True
                 threading.Thread(target=self._work, name="read-frames").start()
-
-    def cancel(self) -> None:
-        """Drop the waiting items; items being read are finished."""
-        self.request(())
 
     def close(self) -> None:
         """Cancel, and wait for items being read; must not be called from `read`."""
@@ -65,7 +59,7 @@ class BackgroundReader:
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait until all items are read; False after `timeout_s`."""
         with self._changed:
-            return self._changed.wait_for(lambda: self._running == 0, timeout_s)
+            return self._changed.wait_for(lambda: not self._running, timeout_s)
 
     def _work(self) -> None:
         while True:
@@ -73,7 +67,7 @@ class BackgroundReader:
                 # When the program ends, Python waits for this thread: stop after this item.
                 if not self._waiting or not threading.main_thread().is_alive():
                     self._waiting.clear()
-                    self._running -= 1
+                    self._running = False
                     self._changed.notify_all()
                     return
                 item = self._waiting.popleft()
@@ -197,7 +191,6 @@ class ImageCache:
         scene: scene of the frames; refined intrinsics are used as soon as the scene has them.
         max_bytes: bound on the cached images.
         max_thumbnail_bytes: bound on the cached thumbnails, in addition to the images.
-        threads: number of images that `prefetch` reads at once.
     """
 
     def __init__(
@@ -206,7 +199,6 @@ class ImageCache:
         *,
         max_bytes: int = 192 * MEGABYTE,
         max_thumbnail_bytes: int = 32 * MEGABYTE,
-        threads: int = 1,
     ) -> None:
         self._scene = scene
         self._images: BoundedStore[tuple[int, Camera], FrameImage] = BoundedStore(
@@ -215,8 +207,7 @@ class ImageCache:
         self._thumbnails: BoundedStore[tuple[int, Camera], NDArray[np.uint8]] = BoundedStore(
             max_thumbnail_bytes, lambda rgb: rgb.nbytes
         )
-        self._on_ready: Callable[[int], None] | None = None
-        self._background = BackgroundReader(self._read_ahead, threads=threads)
+        self._background = BackgroundReader(self.image)
 
     def __enter__(self) -> ImageCache:
         return self
@@ -271,17 +262,11 @@ class ImageCache:
 
     # --- reading ahead -----------------------------------------------------------------------
 
-    def prefetch(
-        self, frame_ids: Iterable[int], *, on_ready: Callable[[int], None] | None = None
-    ) -> None:
+    def prefetch(self, frame_ids: Iterable[int]) -> None:
         """Read these frames in the background, in this order, instead of earlier requests.
 
         Fills at most half of the cache and skips frames that cannot be read.
-
-        Args:
-            on_ready: called with the frame's id, in the thread that read it.
         """
-        self._on_ready = on_ready
         room, wanted = self._images.max_bytes // 2, []
         for frame_id in frame_ids:
             camera = self._scene.camera(self._scene.frame(frame_id))
@@ -290,10 +275,6 @@ class ImageCache:
                 break
             wanted.append(frame_id)
         self._background.request(wanted)
-
-    def cancel_prefetch(self) -> None:
-        """Stop prefetching; the image being read is finished."""
-        self._background.cancel()
 
     def wait_for_prefetch(self, timeout_s: float | None = None) -> bool:
         """Wait until prefetching is finished; False after `timeout_s`."""
@@ -320,11 +301,6 @@ class ImageCache:
         return [frame_id for frame_id, _ in self._images.held()]
 
     # --- reading -----------------------------------------------------------------------------
-
-    def _read_ahead(self, frame_id: int) -> None:
-        self.image(frame_id)
-        if self._on_ready is not None:
-            self._on_ready(frame_id)
 
     def _read(self, frame: Frame, camera: Camera) -> FrameImage:
         rgb = self._scene.read_color(frame)

@@ -195,7 +195,6 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
     _set_material("transparent", "Clear: the depth sensor is not trusted on it."),
     action.dialog_action(
         "rename",
-        "rename",
         "Object",
         "Rename...",
         ("F2",),
@@ -205,7 +204,6 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
     ),
     action.dialog_action(
         "note",
-        "note",
         "Object",
         "Note...",
         ("F3",),
@@ -214,7 +212,6 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         group="state",
     ),
     action.dialog_action(
-        "symmetry",
         "symmetry",
         "Object",
         "Symmetry...",

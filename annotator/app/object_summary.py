@@ -8,7 +8,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Literal
 
 from annotator.app.controller import Controller
-from annotator.app.verdicts import DEPTH_MM, EDGE_PX, Grade, edge_grade, graded, object_verdict
+from annotator.app.verdicts import Grade, VerdictSettings, edge_grade, graded, object_verdict
 from annotator.session.state import ObjectState, Placement
 
 if TYPE_CHECKING:
@@ -126,6 +126,7 @@ def _alarm(c: Controller, name: str) -> str:
 
 def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
     """Return badge, grade and a sentence; the median over frames is robust to an occluded view."""
+    limits = VerdictSettings.current()
     if not rows:
         return "", "unknown", ""
     edges = [r.edge_px for r in rows if edge_grade(r) is not None and r.edge_px is not None]
@@ -133,14 +134,14 @@ def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:
     if edges:
         value = median(edges)
         sentence = f"Contour {value:.1f} px from the image edges, median of {len(edges)} frames."
-        return f"{value:.1f} px", graded(value, EDGE_PX), sentence
+        return f"{value:.1f} px", graded(value, limits.edge_px), sentence
     if depths:
         value = median(depths)
         sentence = (
             f"Surface {value:.0f} mm from the sensor depth, median of {len(depths)} frames; edges "
             "are not informative here, so check the contour by eye."
         )
-        return f"{value:.0f} mm", graded(value, DEPTH_MM), sentence
+        return f"{value:.0f} mm", graded(value, limits.depth_mm), sentence
     return "?", "unknown", "Neither edges nor depth are above chance level: check by eye."
 
 

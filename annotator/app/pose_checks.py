@@ -55,7 +55,7 @@ def _rank(
     )
 
 
-def rank_objects_aside(c: Controller, names: Sequence[str], *, delay: float = 0.0) -> None:
+def rank_objects_aside(c: Controller, names: Sequence[str]) -> None:
     """Rank the poses of objects among nearby poses, in the background."""
     snapshot, frames = c.session.snapshot(), list(dict.fromkeys(c.view_frames))
     objects = [o for n in names if (o := snapshot.object(n)).placements]
@@ -64,7 +64,6 @@ def rank_objects_aside(c: Controller, names: Sequence[str], *, delay: float = 0.
             RANKS,
             lambda task: _rank(snapshot, objects, frames, task),
             lambda ranks: _keep(c, objects, ranks, {}),
-            delay=delay,
         )
 
 

@@ -15,7 +15,6 @@ from annotator.app.pose_text import local_minute
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
-    from annotator.app.operations import MeshSize
     from annotator.session.recovery import Recovery
     from std_toolkit.scene import Model, SymmetryModel
 
@@ -24,8 +23,6 @@ Answers = dict[str, Any]
 Reaction = Callable[[str, Answers], object]
 
 _numbers = itertools.count(1)
-
-_UNITS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 
 _AXES = ("x", "y", "z")
 
@@ -248,51 +245,7 @@ def conflict_question(names: str, react: Reaction) -> Question:
     )
 
 
-# --- meshes ---------------------------------------------------------------------------------------
-
-
-def unit_question(
-    name: str, size: MeshSize, react: Reaction, cancelled: Callable[[], object]
-) -> Question:
-    """Ask for the unit of a mesh file among the plausible ones."""
-    numbers = " × ".join(f"{x:.4g}" for x in size.extents)
-    extents = {u: " × ".join(f"{x:.4g}" for x in size.in_mm(u)) + " mm" for u in size.units}
-    lines = [f"As {_UNITS[unit]} it is {extent}." for unit, extent in extents.items()]
-    return Question(
-        f"{name} is not in metres",
-        react,
-        text=f"In metres the mesh would be {numbers} m large, which no object on a table is. "
-        "Scenes hold meshes in metres: in which unit is this file?\n\n" + "\n".join(lines),
-        level="warning",
-        buttons=(
-            *(Button(u, f"It is in {_UNITS[u]}", extent) for u, extent in extents.items()),
-            Button("", "Cancel", "The mesh is not added."),
-        ),
-        cancelled=cancelled,
-    )
-
-
-def decimate_question(
-    name: str,
-    size: MeshSize,
-    fewer: int,
-    react: Reaction,
-    cancelled: Callable[[], object],
-) -> Question:
-    """Ask whether to decimate a mesh of many faces: "fewer" or "keep"."""
-    colors = " Its texture becomes colours of the vertices." if size.textured else ""
-    return Question(
-        f"{name} has {size.faces:,} faces",
-        react,
-        text=f"Views, refinement and checks are slow with so many. A mesh of {fewer:,} faces "
-        f"has the same shape up to small details.{colors} The file itself does not change.",
-        buttons=(
-            Button("fewer", f"Decimate to {fewer:,}", f"The scene gets a mesh of {fewer:,} faces."),
-            Button("keep", "Keep all", "The scene gets a copy of the file."),
-            Button("", "Cancel", "The mesh is not added."),
-        ),
-        cancelled=cancelled,
-    )
+# --- symmetry -------------------------------------------------------------------------------------
 
 
 def symmetry_text(symmetry: SymmetryModel) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from annotator.app.controller import Controller
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
@@ -15,16 +16,25 @@ if TYPE_CHECKING:
 
 Grade = Literal["good", "fair", "poor", "unknown"]
 
-# Contour to image edges, pixels: below the first value the pose is as good as annotation and
-# refinement get; above the second it is visibly wrong.
-EDGE_PX = (1.5, 3.0)
 
-# The same for the depth of a diffuse object, mm: these sensors have errors up to 2 %, which is
-# 14 mm at 0.7 m, so edges are more informative if there are any.
-DEPTH_MM = (15.0, 30.0)
+@dataclass(frozen=True, kw_only=True)
+class VerdictSettings(Settings):
+    """Residuals at which a pose is good, doubtful or bad."""
 
-# An edge distance is informative only if it is clearly below the chance level.
-CHANCE_SHARE = 0.6
+    edge_px: tuple[float, float] = limit(
+        (1.5, 3.0),
+        unit="px",
+        source="as good as annotation and refinement get; visibly wrong",
+    )
+    """contour to image edges: good below the first, bad above the second"""
+    depth_mm: tuple[float, float] = limit(
+        (15.0, 30.0),
+        unit="mm",
+        source="sensors have errors up to 2 %, which is 14 mm at 0.7 m",
+    )
+    """the same for the depth of a diffuse object"""
+    chance_share: float = limit(0.6, source=NOT_RECORDED)
+    """an edge distance is informative below this part of the distance by chance"""
 
 
 @dataclass(frozen=True)
@@ -51,16 +61,18 @@ def grade_row(row: FrameResidual) -> Grade:
 
 def edge_grade(row: FrameResidual) -> Grade | None:
     """Return the grade of the edge residual; None if not measured or at chance level."""
+    limits = VerdictSettings.current()
     if row.edge_px is None:
         return None
-    if row.edge_chance_px is not None and row.edge_px > CHANCE_SHARE * row.edge_chance_px:
+    if row.edge_chance_px is not None and row.edge_px > limits.chance_share * row.edge_chance_px:
         return None
-    return graded(row.edge_px, EDGE_PX)
+    return graded(row.edge_px, limits.edge_px)
 
 
 def depth_grade(row: FrameResidual) -> Grade | None:
     """Return the grade of the depth residual; None if not measured or not trusted."""
-    return None if row.depth_mm is None else graded(abs(row.depth_mm), DEPTH_MM)
+    limits = VerdictSettings.current()
+    return None if row.depth_mm is None else graded(abs(row.depth_mm), limits.depth_mm)
 
 
 def graded(value: float, limits: tuple[float, float]) -> Grade:

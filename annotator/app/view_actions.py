@@ -210,7 +210,6 @@ def _swap(view: int) -> Action:
 SCENE_ACTIONS: tuple[Action, ...] = (
     dialog_action(
         "open",
-        "open",
         "File",
         "Open scene...",
         ("Ctrl+O",),
@@ -218,7 +217,6 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         group="open",
     ),
     dialog_action(
-        "add_mesh",
         "add_mesh",
         "File",
         "Add mesh...",
@@ -239,7 +237,6 @@ SCENE_ACTIONS: tuple[Action, ...] = (
     ),
     dialog_action(
         "propagate",
-        "propagate",
         "File",
         "Save and propagate...",
         ("Ctrl+P",),
@@ -247,9 +244,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         enabled=lambda c: c.session.writable and c.session.posed and is_idle(c),
         group="save",
     ),
-    dialog_action(
-        "close", "close", "File", "Close", ("Ctrl+Q",), "Leave; no edit is lost.", group="close"
-    ),
+    dialog_action("close", "File", "Close", ("Ctrl+Q",), "Leave; no edit is lost.", group="close"),
     Action(
         "undo",
         "Edit",
@@ -308,11 +303,10 @@ SCENE_ACTIONS: tuple[Action, ...] = (
     *(_swap(view) for view in (1, 2, 3)),
     dialog_action(
         "shortcuts",
-        "shortcuts",
         "Help",
         "Keys and mouse",
         ("F1",),
         "All keys and what the mouse does in the views.",
     ),
-    dialog_action("about", "about", "Help", "About", (), "Version, and where the guide is."),
+    dialog_action("about", "Help", "About", (), "Version, and where the guide is."),
 )

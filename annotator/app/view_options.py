@@ -20,6 +20,10 @@ _USUAL_DISTANCE_M = 0.7
 _MARGIN = 0.08
 
 
+# Side views; a short recording has fewer.
+SIDE_VIEWS = 3
+
+
 class Mode(StrEnum):
     """Content of the main view."""
 
@@ -83,23 +87,20 @@ class ViewOptions:
     maximised: bool = False
 
 
-def choose_view_frames(scene: Scene, session: Queries, *, side_views: int = 3) -> list[int]:
+def choose_view_frames(scene: Scene, session: Queries) -> list[int]:
     """Return the frame of the main view, then those of the side views in recording order.
 
     The main view shows the first frame in which a pose can be set. Side views are selected
     greedily: each next frame is the one whose viewing direction to the objects (before the first is
     placed: to the point that the cameras face) differs most from all previous ones. Without camera
     poses they are evenly spaced over the recording. Reads no images.
-
-    Args:
-        side_views: largest number of side views; a short recording has fewer.
     """
     ids = [f.id for f in scene.frames]
     main = session.frames[0] if session.frames else ids[0]
     if session.posed and len(session.frames) > 1:
-        sides = _spread(scene, session, main, side_views)
+        sides = _spread(scene, session, main, SIDE_VIEWS)
     else:
-        places = np.linspace(0, len(ids) - 1, side_views + 1)[1:]
+        places = np.linspace(0, len(ids) - 1, SIDE_VIEWS + 1)[1:]
         sides = [ids[round(x)] for x in places]
     others = [f for f in ids if f in set(sides) - {main}]
     return [main, *others]

@@ -18,11 +18,17 @@ from std_toolkit.labels.propagate import place_label
 from std_toolkit.scene import Label, Model, Object, Scene
 from std_toolkit.scene.model import annotated_views, pose_from_list
 from std_toolkit.scene.scene import require_metres
-
-# Largest vertex difference of two copies of one mesh, due to exporters and file formats.
-_SAME_MESH_M = 1e-4
+from std_toolkit.settings import Settings, limit
 
 _FAR = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SameMeshSettings(Settings):
+    """When two meshes are copies of one."""
+
+    same_mesh_m: float = limit(1e-4, unit="m", source="exporters and file formats")
+    """largest vertex difference of two copies of one mesh"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +92,14 @@ def same_mesh(x: LabelledObject, y: LabelledObject) -> bool:
 
 def same_shape(scene_a: Scene, a: Model, scene_b: Scene, b: Model) -> bool:
     """As `same_mesh`, for models of two scenes."""
+    limits = SameMeshSettings.current()
     if scene_a.mesh_digest(a.id) == scene_b.mesh_digest(b.id):
         return True
     # The same mesh in another file format.
     bounds = mesh_bounds(scene_a.mesh(a.id)) - mesh_bounds(scene_b.mesh(b.id))
     return bool(
-        np.abs(bounds).max() < _SAME_MESH_M and abs(a.diameter_m - b.diameter_m) < _SAME_MESH_M
+        np.abs(bounds).max() < limits.same_mesh_m
+        and abs(a.diameter_m - b.diameter_m) < limits.same_mesh_m
     )
 
 

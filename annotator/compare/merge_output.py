@@ -13,9 +13,10 @@ from annotator.compare.annotated_scene import same_shape
 from annotator.compare.merge_labels import Merge
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import new_folder, sweep_temporaries
+from std_toolkit.io.documents import digest_file
+from std_toolkit.jobs.artefact import record_path
 from std_toolkit.labels.entry.mesh_copies import plan_mesh_copy, write_mesh_copy
 from std_toolkit.scene import Annotation, Labels, ObjectAnnotation, ObjectTable, Scene
-from std_toolkit.scene.document import digest_file, record_path
 
 # Copied folders of recording and reconstruction; labels and data derived from them are not copied.
 _FOLDERS = ("reference", "poses")

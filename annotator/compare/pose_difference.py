@@ -10,18 +10,28 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Symmetry, mssd, rotation_error, so3_log
 from std_toolkit.geometry.symmetry import fixed_point, nearest_variant
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     from std_toolkit.geometry import Camera
 
 Array = NDArray[np.float64]
 
-# A rotation this close to 180 or 90 degrees is a wrong orientation, not an inaccuracy.
-_CHOICE_DEG = 25.0
-# Parts below this fraction of the largest one are not mentioned.
-_WORTH_TELLING = 0.5
-# Within this angle a rotation is reported as about an axis of the mesh.
-_NEAR_AXIS_DEG = 15.0
+
+@dataclass(frozen=True, kw_only=True)
+class DifferenceSettings(Settings):
+    """How a difference of two labels is named."""
+
+    choice_deg: float = limit(
+        25.0,
+        unit="deg",
+        source="such a rotation is a wrong orientation, not an inaccuracy",
+    )
+    """a rotation this close to 180 or 90 degrees is a wrong orientation"""
+    worth_telling: float = limit(0.5, source=NOT_RECORDED)
+    """parts below this fraction of the largest one are not mentioned"""
+    near_axis_deg: float = limit(15.0, unit="deg", source=NOT_RECORDED)
+    """within this angle a rotation is reported as about an axis of the mesh"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +97,20 @@ def pose_difference(
     )
 
 
-def surface_distance(
-    T_a: SE3, T_b: SE3, points: NDArray[np.floating], symmetry: Symmetry, *, steps: int = 72
-) -> float:
+# Turns about an axis of rotational symmetry that are tried.
+_TURNS = 72
+
+
+def surface_distance(T_a: SE3, T_b: SE3, points: NDArray[np.floating], symmetry: Symmetry) -> float:
     """Return the MSSD in metres, symmetric in the two poses.
 
     A mesh is never exactly as symmetric as its object, so the values from T_a to T_b and from T_b
     to T_a differ slightly. The larger one is returned.
     """
-    forth = mssd(T_a, T_b, points, symmetry, steps=steps)
+    forth = mssd(T_a, T_b, points, symmetry, steps=_TURNS)
     if symmetry.is_trivial:
         return forth
-    return max(forth, mssd(T_b, T_a, points, symmetry, steps=steps))
+    return max(forth, mssd(T_b, T_a, points, symmetry, steps=_TURNS))
 
 
 def what_differs(difference: PoseDifference, names: tuple[str, str] = ("A", "B")) -> str:
@@ -107,11 +119,12 @@ def what_differs(difference: PoseDifference, names: tuple[str, str] = ("A", "B")
     Args:
         names: annotators of the first and the second pose.
     """
+    limits = DifferenceSettings.current()
     degrees = float(np.rad2deg(np.linalg.norm(difference.turn)))
     axis = _axis_name(difference.turn)
-    if degrees >= 180 - _CHOICE_DEG:
+    if degrees >= 180 - limits.choice_deg:
         return f"{degrees:.0f} deg about {axis}: flip?"
-    if abs(degrees - 90) <= _CHOICE_DEG:
+    if abs(degrees - 90) <= limits.choice_deg:
         return f"{degrees:.0f} deg about {axis}: a quarter turn?"
     along = difference.along_ray_m
     parts = [
@@ -126,7 +139,9 @@ def what_differs(difference: PoseDifference, names: tuple[str, str] = ("A", "B")
         ),
     ]
     parts.sort(key=lambda part: -part[0])
-    largest = [text for size, text in parts if size >= _WORTH_TELLING * parts[0][0] and size > 0]
+    largest = [
+        text for size, text in parts if size >= limits.worth_telling * parts[0][0] and size > 0
+    ]
     return ", ".join(largest[:2])
 
 
@@ -153,6 +168,6 @@ def _axis_name(turn: Array) -> str:
         return "no axis"
     axis = turn / length
     index = int(np.abs(axis).argmax())
-    if abs(axis[index]) >= np.cos(np.deg2rad(_NEAR_AXIS_DEG)):
+    if abs(axis[index]) >= np.cos(np.deg2rad(DifferenceSettings.current().near_axis_deg)):
         return "xyz"[index]
     return "(" + " ".join(f"{x:.2f}" for x in axis) + ")"

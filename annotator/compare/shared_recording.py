@@ -9,15 +9,23 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import umeyama
+from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import read_color
 from std_toolkit.scene import Frame, Scene
-from std_toolkit.scene.document import digest_file
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Number of images compared in addition to those of labelled frames.
 _SPREAD_IMAGES = 8
 # Relative difference of focal lengths that affects positions along the viewing ray.
-_SAME_FOCAL = 1e-4
 _SAME_POSE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class SameRecordingSettings(Settings):
+    """When two recordings are the same."""
+
+    same_focal: float = limit(1e-4, source=NOT_RECORDED)
+    """relative difference of focal lengths that affects positions along the viewing ray"""
 
 
 @dataclass(frozen=True)
@@ -114,13 +122,14 @@ def _compare_images(a: Scene, b: Scene, pairs: list[tuple[Frame, Frame]]) -> int
 def _camera_notes(
     a: Scene, b: Scene, pairs: list[tuple[Frame, Frame]], names: tuple[str, str]
 ) -> Iterable[str]:
+    limits = SameRecordingSettings.current()
     seen = set()
     for one, other in pairs:
         if (one.camera, other.camera) in seen:
             continue
         seen.add((one.camera, other.camera))
         ca, cb = a.camera(one), b.camera(other)
-        if abs(ca.fx / cb.fx - 1) > _SAME_FOCAL or abs(ca.fy / cb.fy - 1) > _SAME_FOCAL:
+        if abs(ca.fx / cb.fx - 1) > limits.same_focal or abs(ca.fy / cb.fy - 1) > limits.same_focal:
             yield (
                 f"the focal length of camera {one.camera} is {ca.fx:.2f} px in {names[0]} and "
                 f"{cb.fx:.2f} px in {names[1]}: this changes distances by "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import QLocale, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QWheelEvent
-from PySide6.QtWidgets import QDoubleSpinBox, QWidget
+from PySide6.QtWidgets import QDoubleSpinBox
 
 
 class NumberField(QDoubleSpinBox):
@@ -21,8 +21,8 @@ class NumberField(QDoubleSpinBox):
     typed = Signal(float)
     left = Signal()
 
-    def __init__(self, unit: str, decimals: int, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, unit: str, decimals: int) -> None:
+        super().__init__()
         self._exact = 0.0
         self.edited = False
         self.setRange(-1e6, 1e6)

@@ -267,8 +267,8 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
 class ObjectList(QtWidgets.QListView):
     """List view; objects can be dragged from it onto an image."""
 
-    def __init__(self, model: ObjectListModel, parent: QtWidgets.QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, model: ObjectListModel) -> None:
+        super().__init__()
         self.setModel(model)
         self.setItemDelegate(ObjectDelegate(self))
         self.setUniformItemSizes(True)

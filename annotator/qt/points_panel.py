@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from PySide6 import QtWidgets
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QColor, QShowEvent
@@ -17,14 +19,22 @@ from annotator.session import ChangeClick, Click
 from annotator.views import ModelView
 from annotator.views.mesh_picker import MeshPicker
 from annotator.views.meshes import ShapeStore
-
-# Careful clicks have an error of about a pixel; a much larger residual is a wrong click.
-GOOD_PX, BAD_PX = 2.0, 5.0
+from std_toolkit.settings import Settings, limit
 
 _EMPTY = (
     "No points yet.\n\nClick a point on the mesh above, then the same point in the image. "
     "Four or more points give the pose; spread them over the object."
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClickSettings(Settings):
+    """Residuals at which a click is good or bad."""
+
+    good_px: float = limit(2.0, unit="px", source="careful clicks have an error of about a pixel")
+    """a residual below is good"""
+    bad_px: float = limit(5.0, unit="px", source="a much larger residual is a wrong click")
+    """a residual above is bad"""
 
 
 class PointsPanel(Panel):
@@ -143,9 +153,10 @@ class PointsPanel(Panel):
 
 
 def _ink(residual_px: float) -> str:
-    if residual_px <= GOOD_PX:
+    limits = ClickSettings.current()
+    if residual_px <= limits.good_px:
         return theme.GOOD
-    return theme.WARNING if residual_px <= BAD_PX else theme.BAD
+    return theme.WARNING if residual_px <= limits.bad_px else theme.BAD
 
 
 class MeshPickerWidget(QtWidgets.QWidget):

@@ -8,22 +8,10 @@ from PySide6.QtGui import QColor
 
 from annotator.app.controller import Controller
 from annotator.app.panels import ResidualRow, residual_rows, verdict, weak_direction
-from annotator.app.verdicts import CHANCE_SHARE, DEPTH_MM, EDGE_PX
+from annotator.app.verdicts import VerdictSettings
 from annotator.qt import theme
 from annotator.qt.commands import Commands
 from annotator.qt.panel import Panel, label, number_table, tool_button
-
-_LEGEND = (
-    "<b>Edges</b>: median distance of the drawn contour to the nearest image edge. Up to "
-    f"{EDGE_PX[0]:g} px is good, above {EDGE_PX[1]:g} px something is off.<br>"
-    "<b>Chance</b>: the value for a contour at a random place nearby. Edges that are not below "
-    f"{CHANCE_SHARE:.0%} of it are not informative: check by eye there.<br>"
-    "<b>Depth</b>: median of the drawn surface minus the sensor's, positive if the object lies "
-    f"behind. Sensors have errors up to 2 %, so up to {DEPTH_MM[0]:g} mm may be sensor error. "
-    "Only for raw and diffuse objects: on others sensor depth is wrong.<br>"
-    "<b>Nearby poses</b>: 200 poses, moved by up to 30 mm and turned by up to 15 degrees, in up to "
-    "eight frames. A pose fits only if it beats them."
-)
 
 
 class ResidualPanel(Panel):
@@ -44,7 +32,7 @@ class ResidualPanel(Panel):
         self.weak = QtWidgets.QLabel()
         self.weak.setWordWrap(True)
         self.weak.setStyleSheet(f"color: {theme.WARNING}")
-        legend = label("muted", _LEGEND)
+        legend = label("muted", _legend())
         legend.setWordWrap(True)
         legend.setAlignment(Qt.AlignmentFlag.AlignTop)
         scroll = QtWidgets.QScrollArea()
@@ -93,3 +81,18 @@ class ResidualPanel(Panel):
             if row.problem:
                 item.setToolTip(row.problem)
             self.table.setItem(i, column, item)
+
+
+def _legend() -> str:
+    limits = VerdictSettings.current()
+    return (
+        "<b>Edges</b>: median distance of the drawn contour to the nearest image edge. Up to "
+        f"{limits.edge_px[0]:g} px is good, above {limits.edge_px[1]:g} px something is off.<br>"
+        "<b>Chance</b>: the value for a contour at a random place nearby. Edges that are not below "
+        f"{limits.chance_share:.0%} of it are not informative: check by eye there.<br>"
+        "<b>Depth</b>: median of the drawn surface minus the sensor's, positive if the object lies "
+        f"behind. Sensors have errors up to 2 %, so up to {limits.depth_mm[0]:g} mm may be sensor "
+        "error. Only for raw and diffuse objects: on others sensor depth is wrong.<br>"
+        "<b>Nearby poses</b>: 200 poses, moved by up to 30 mm and turned by up to 15 degrees, in "
+        "up to eight frames. A pose fits only if it beats them."
+    )

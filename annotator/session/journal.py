@@ -22,8 +22,8 @@ from annotator.session.merge import Stored
 from annotator.session.state import AnnotationState
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sync_folder, write_bytes_atomic
-from std_toolkit.io.documents import plain_number
-from std_toolkit.scene.document import Count, Document, digest_file
+from std_toolkit.io.documents import digest_files, plain_number
+from std_toolkit.scene.document import Count, Document
 
 # Documents that a journal is bound to: changed frames invalidate its edits, changes of the other
 # documents are merged.
@@ -159,9 +159,7 @@ def history_folder(root: Path) -> Path:
 
 def scene_digests(root: Path) -> dict[str, str]:
     """Return the digests of the documents that a journal is bound to; "" for a missing one."""
-    return {
-        name: digest_file(root / name) if (root / name).is_file() else "" for name in BOUND_FILES
-    }
+    return digest_files(root, [root / name for name in BOUND_FILES])
 
 
 def encode_entry(entry: Entry) -> bytes:

@@ -8,14 +8,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
-from annotator.session.edits import (
-    AddObject,
-    AnyEdit,
-    CompoundEdit,
-    EnterModel,
-    SetSymmetry,
-    SingleEdit,
-)
+from annotator.session import edits
 from annotator.session.merge import Side
 from annotator.session.requests import AnyRequest, ImportMesh, Request
 from annotator.session.script_frames import frame_or_name, frames_of, with_frame_ids
@@ -55,7 +48,7 @@ class Redo(Document, frozen=True, kw_only=True, tag_field="edit", tag="redo"):
 
 
 Command = Save | Propagate | Undo | Redo
-Step = AnyEdit | AnyRequest | Command
+Step = edits.AnyEdit | AnyRequest | Command
 
 
 def read_script(path: Path | str, scene: Scene | None = None) -> list[Step]:
@@ -223,28 +216,28 @@ def _propagate(session: Session, step: Propagate) -> Iterator[str]:
     yield from (f"  {line.strip()}" for line in report.lines)
 
 
-def _exported(session: Session, edit: AnyEdit) -> Iterator[Step]:
+def _exported(session: Session, edit: edits.AnyEdit) -> Iterator[Step]:
     match edit:
-        case CompoundEdit() if any(isinstance(e, EnterModel) for e in edit.edits):
+        case edits.CompoundEdit() if any(isinstance(e, edits.EnterModel) for e in edit.edits):
             for part in edit.edits:
                 yield from _exported(session, part)
-        case CompoundEdit():
+        case edits.CompoundEdit():
             yield msgspec.structs.replace(edit, edits=[_anywhere(e) for e in edit.edits])
-        case EnterModel(model=model):
+        case edits.EnterModel(model=model):
             yield ImportMesh(
                 mesh=str((session.scene.root / model.mesh).resolve()),
                 category=model.category,
                 model=model.id,
             )
             if model.symmetry != SymmetryModel():
-                yield SetSymmetry(model=model.id, symmetry=model.symmetry)
+                yield edits.SetSymmetry(model=model.id, symmetry=model.symmetry)
         case _:
             yield _anywhere(edit)
 
 
-def _anywhere(edit: SingleEdit) -> SingleEdit:
+def _anywhere(edit: edits.SingleEdit) -> edits.SingleEdit:
     """Remove object ids, which are specific to one scene."""
-    return msgspec.structs.replace(edit, id=None) if isinstance(edit, AddObject) else edit
+    return msgspec.structs.replace(edit, id=None) if isinstance(edit, edits.AddObject) else edit
 
 
 def _leaves(union: object) -> Iterator[type[msgspec.Struct]]:

@@ -228,6 +228,16 @@ class Queries:
         """Return the camera pose in metres; None if there is none."""
         return self.cameras.T_world_cam(frame)
 
+    def T_cam_of(self, frame: int, frame_name: str) -> SE3 | None:
+        """Transform of "world" or "camera 12" to the camera of a frame; None if unknown."""
+        if frame_name == f"camera {frame}":
+            return SE3.identity()
+        T_world_cam = self.T_world_cam(frame)
+        if T_world_cam is None or frame_name == "world":
+            return None if T_world_cam is None else T_world_cam.inverse()
+        T_world_other = self.T_world_cam(int(frame_name.split()[-1]))
+        return None if T_world_other is None else T_world_cam.inverse() @ T_world_other
+
     def object(self, name: str) -> ObjectState:
         """Return an object by name; raises ToolkitError if there is none."""
         return self.state.object(name)

@@ -13,6 +13,7 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
 from annotator.views import clouds, projection, triangles
 from annotator.views.layers import Layers, fill, place
+from annotator.views.strokes import Color, Strokes
 from std_toolkit.geometry import SE3, Camera
 
 Array = NDArray[np.float64]
@@ -113,11 +114,11 @@ class TableLayer:
 
 
 def draw_camera(
-    strokes: triangles.Strokes,
+    strokes: Strokes,
     screen: projection.ScreenCamera,
     T_eye_cam: SE3,
     camera: Camera,
-    color: triangles.Color,
+    color: Color,
     *,
     scale: float = 1.0,
 ) -> Array | None:

@@ -14,17 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from annotator.app.view_options import Gizmo
-from annotator.views.drags import (
-    NEAREST_M,
-    AxisDrag,
-    DepthDrag,
-    Drag,
-    PlaneDrag,
-    RingDrag,
-    plane_basis,
-)
+from annotator.views import drags
 from annotator.views.projection import ScreenCamera
-from annotator.views.triangles import Color, Strokes
+from annotator.views.strokes import Color, Strokes
 from std_toolkit.geometry import SE3
 
 __all__ = ["ARROW_START", "AXIS_COLORS", "HOVERED", "draw_gizmo"]
@@ -128,7 +120,7 @@ class GizmoFrame:
 
     def line(self, handle: Handle) -> Array:
         """Return (N, 2) screen positions along a handle; (0, 2) if it is behind the eye."""
-        if self.centre[2] <= NEAREST_M:
+        if self.centre[2] <= drags.NEAREST_M:
             return np.zeros((0, 2))
         if handle.part is Part.DEPTH:
             return self.middle + self.depth_direction(handle.axis) * self.size_px * np.array(
@@ -151,10 +143,10 @@ class GizmoFrame:
         near: NDArray[np.bool_] = out @ self.sight <= 1e-9 * self.length_m
         return near
 
-    def hit(self, gizmo: Gizmo, xy: ArrayLike, *, reach_px: float = REACH_PX) -> Handle | None:
+    def hit(self, gizmo: Gizmo, xy: ArrayLike) -> Handle | None:
         """Return the handle at a screen position, the foremost of equally near ones, or None."""
         point = np.asarray(xy, dtype=np.float64)
-        best, found = reach_px, None
+        best, found = REACH_PX, None
         for handle in self.handles(gizmo):
             line = self.line(handle)
             if len(line) == 0:
@@ -169,20 +161,22 @@ class GizmoFrame:
                 best, found = distance, handle
         return found
 
-    def grab(self, handle: Handle, xy: ArrayLike, T_eye_obj: SE3) -> Drag:
+    def grab(self, handle: Handle, xy: ArrayLike, T_eye_obj: SE3) -> drags.Drag:
         """Start to drag a handle with the pointer at `xy`."""
         at = np.asarray(xy, dtype=np.float64)
         if handle.part is Part.DISC:
             grabbed = self.camera.ray(at) * self.centre[2]
-            return PlaneDrag(self.camera, grabbed, T_eye_obj)
+            return drags.PlaneDrag(self.camera, grabbed, T_eye_obj)
         if handle.part is Part.ARROW:
-            return AxisDrag(self.camera, self.centre, self.axes[:, handle.axis], at, T_eye_obj)
+            return drags.AxisDrag(
+                self.camera, self.centre, self.axes[:, handle.axis], at, T_eye_obj
+            )
         if handle.part is Part.DEPTH:
             gain = DEPTH_GAIN * self.camera.pixel_m(float(self.centre[2]))
             direction = self.depth_direction(handle.axis)
-            return DepthDrag(direction * gain, self.axes[:, handle.axis], at, T_eye_obj)
+            return drags.DepthDrag(direction * gain, self.axes[:, handle.axis], at, T_eye_obj)
         axis, radius = self._ring(handle)
-        return RingDrag(self.camera, self.centre, axis, radius * self.length_m, at, T_eye_obj)
+        return drags.RingDrag(self.camera, self.centre, axis, radius * self.length_m, at, T_eye_obj)
 
     def depth_direction(self, axis: int) -> Array:
         """Return the screen direction (2,) of the handle of an axis along the line of sight."""
@@ -206,7 +200,7 @@ class GizmoFrame:
 
 
 def _circle_directions(axis: Array) -> Array:
-    u, v = plane_basis(axis)
+    u, v = drags.plane_basis(axis)
     angle = 2 * np.pi * np.arange(_RING_POINTS) / _RING_POINTS
     directions: Array = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
     return directions

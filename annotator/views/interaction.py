@@ -1,9 +1,9 @@
-"""Interactor events of a plotter, and gestures that change the eye or clicked points."""
+"""Interactor events of a plotter, and gestures that move objects, the eye or clicked points."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -13,6 +13,7 @@ from vtkmodules.vtkInteractionStyle import vtkInteractorStyleUser
 from annotator.app.events import Event
 from annotator.app.view_options import Mode
 from annotator.session import AddClick, ChangeClick, Click
+from annotator.views import drags
 from annotator.views.overlay import ScreenPoints, pixels
 from annotator.views.scene_view import SceneView
 
@@ -66,6 +67,45 @@ def add_pixel(view: SceneView, at: ScreenPoints) -> None:
     click = Click(u=u, v=v, point=list(point))
     controller.pending_point = None
     controller.apply(AddClick(object=name, frame=view.frame, click=click))
+
+
+class Gesture(Protocol):
+    """Current drag; positions are (2,) screen positions.
+
+    Attributes:
+        moves_view: whether it moves the eye of this view instead of objects.
+    """
+
+    moves_view: bool
+
+    def start(self, at: Array) -> None: ...
+    def to(self, at: Array) -> None: ...
+    def finish(self) -> None: ...
+    def cancel(self) -> None: ...
+
+
+class PoseGesture:
+    """Moves an object in all views; the release commits one edit."""
+
+    moves_view = False
+
+    def __init__(self, view: SceneView, name: str, drag: drags.Drag, method: str) -> None:
+        self._view, self._name, self._drag, self._method = view, name, drag, method
+        self._frame = view.frame
+        self._T_cam_eye = view.T_eye_cam.inverse()
+
+    def start(self, at: Array) -> None:
+        pass
+
+    def to(self, at: Array) -> None:
+        T_cam_obj = self._T_cam_eye @ self._drag.to(at)
+        self._view.controller.drag_to(self._name, self._frame, T_cam_obj)
+
+    def finish(self) -> None:
+        self._view.controller.end_drag(self._method)
+
+    def cancel(self) -> None:
+        self._view.controller.cancel_drag()
 
 
 class _EyeGesture:

@@ -31,7 +31,7 @@ from vtkmodules.vtkRenderingCore import (
 from vtkmodules.vtkRenderingOpenGL2 import vtkGenericOpenGLRenderWindow
 
 from annotator.views.projection import ScreenCamera
-from annotator.views.triangles import Strokes
+from annotator.views.strokes import Strokes
 from std_toolkit.geometry import SE3
 
 BACKGROUND = (0.118, 0.118, 0.122)
@@ -211,7 +211,6 @@ class Captions:
         opacity: float = 0.62,
         align: str = "left",
         valign: str = "top",
-        bold: bool = False,
     ) -> None:
         """Show a text on a box.
 
@@ -230,7 +229,7 @@ class Captions:
         if actor.GetInput() != text:
             actor.SetInput(text)
         style = actor.GetTextProperty()
-        _set_style(style, size, color, paper, opacity, align, valign, bold)
+        _set_style(style, size, color, paper, opacity, align, valign)
         _place(actor, at, self._layers.size[1])
 
     def close(self) -> None:
@@ -247,7 +246,6 @@ def _set_style(
     opacity: float,
     align: str,
     valign: str,
-    bold: bool,
 ) -> None:
     style.SetFontFamilyToArial()
     # VTK sizes are in points at 72 dots per inch.
@@ -255,7 +253,6 @@ def _set_style(
     style.SetColor(*color)
     style.SetBackgroundColor(*paper)
     style.SetBackgroundOpacity(opacity)
-    style.SetBold(bold)
     style.SetLineSpacing(1.25)
     style.SetJustification({"left": 0, "center": 1, "right": 2}[align])
     style.SetVerticalJustification({"bottom": 0, "center": 1, "top": 2}[valign])

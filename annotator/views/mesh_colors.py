@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
-from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPolyData
+from vtkmodules.vtkCommonDataModel import vtkPolyData
 
-from annotator.views import triangles
+from annotator.views.triangles import ColoredMesh, Image, Texture, triangles
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.surface_colors import SurfaceColors
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 # Longer side to which a larger texture is reduced: 0.2 mm per texel on an object of 0.2 m.
 LARGEST_PX = 2048
@@ -41,67 +39,6 @@ _BATCH = 20_000
 # Distance from the decimated mesh at which colours are sampled, as a fraction of its radius:
 # outside, so that of a thin wall the outer side is taken.
 _OUTSIDE = 0.005
-
-# Texels across a texture for each pixel across an object: its surface is laid out around it.
-_TEXELS_PER_PX = 2.5
-
-
-class Texture:
-    """A texture image in resolutions that are halves of each other.
-
-    Args:
-        image: (H, W, 3) RGB; the first row is at v = 1.
-        mipmaps: whether averages of neighbouring texels belong to neighbouring surface.
-    """
-
-    def __init__(self, image: Image, *, mipmaps: bool = True) -> None:
-        self.image, self.mipmaps = image, mipmaps
-        self._levels: dict[int, vtkImageData] = {}
-
-    def level(self, pixels: float, last: int | None) -> int:
-        """Return the number of halvings for an object of a size on the screen.
-
-        Args:
-            pixels: size of the object on the screen.
-            last: the previous answer, which is kept if it is fine enough and not far too fine.
-        """
-        if not self.mipmaps:
-            return 0
-        fitting = max(self.image.shape[:2]) / max(_TEXELS_PER_PX * pixels, 64.0)
-        level = max(int(np.floor(np.log2(max(fitting, 1.0)))), 0)
-        return last if last is not None and level - 1 <= last <= level else level
-
-    def data(self, level: int) -> vtkImageData:
-        """Return the image after so many halvings."""
-        if level not in self._levels:
-            image = self.image
-            if level:
-                height, width = image.shape[:2]
-                size = (max(width >> level, 1), max(height >> level, 1))
-                image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-            height, width = image.shape[:2]
-            data = vtkImageData()
-            data.SetDimensions(width, height, 1)
-            # VTK's first row is at v = 0.
-            flat = np.ascontiguousarray(image[::-1]).reshape(-1, 3)
-            data.GetPointData().SetScalars(numpy_to_vtk(flat, deep=True))
-            self._levels[level] = data
-        return self._levels[level]
-
-
-@dataclass(frozen=True, eq=False)
-class ColoredMesh:
-    """Triangles with colours.
-
-    Attributes:
-        polydata: triangles with texture coordinates, or with colours as scalars.
-        texture: None for scalars.
-        by_face: whether the scalars belong to the faces instead of the vertices.
-    """
-
-    polydata: vtkPolyData
-    texture: Texture | None
-    by_face: bool = False
 
 
 def mesh_colors(mesh: trimesh.Trimesh, *, largest: int = LARGEST_PX) -> SurfaceColors | None:
@@ -287,7 +224,7 @@ def _with_texture(
     """Return a mesh of the vertices (V,) of another, faces (F, 3) of these, and their uv (V, 2)."""
     points = vtk_to_numpy(polydata.GetPoints().GetData())[vertex]
     normals = vtk_to_numpy(polydata.GetPointData().GetNormals())[vertex]
-    copy = triangles.triangles(points, faces)
+    copy = triangles(points, faces)
     copy.GetPointData().SetNormals(numpy_to_vtk(normals, deep=True))
     copy.GetPointData().SetTCoords(numpy_to_vtk(uv, deep=True))
     return copy

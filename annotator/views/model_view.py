@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from annotator.app.placing import front_rotation
 from annotator.app.view_options import Style
-from annotator.views import interaction, layers, meshes, projection, scene_view, solids, triangles
+from annotator.views import interaction, layers, meshes, projection, scene_view, solids
+from annotator.views.strokes import Color, Strokes, rgba
 from std_toolkit.geometry import SE3, so3_exp
 
 Array = NDArray[np.float64]
@@ -21,9 +22,9 @@ OnClick = Callable[[tuple[float, float, float]], None]
 DISTANCE = 6.0
 _FILL = 0.88
 _DRAG_PX = 3.0
-_POINT: triangles.Color = (0.3, 0.95, 1.0, 1.0)
-_PENDING: triangles.Color = (1.0, 0.83, 0.2, 1.0)
-_SHADOW: triangles.Color = (0.0, 0.0, 0.0, 0.6)
+_POINT: Color = (0.3, 0.95, 1.0, 1.0)
+_PENDING: Color = (1.0, 0.83, 0.2, 1.0)
+_SHADOW: Color = (0.0, 0.0, 0.0, 0.6)
 
 
 class ModelView:
@@ -101,9 +102,7 @@ class ModelView:
                 self._solid.close()
             self._solid = None if shape is None else solids.Solid(self.layers, shape)
             self.fit()
-        self._look = solids.Appearance(
-            color=triangles.rgba(color)[:3], style=style, contour=0.0, light=False
-        )
+        self._look = solids.Appearance(color=rgba(color)[:3], style=style, contour=0.0, light=False)
 
     def set_points(
         self, points: Sequence[Sequence[float]], pending: Sequence[float] | None = None
@@ -167,7 +166,7 @@ class ModelView:
         if self._solid is not None:
             size_px = 2 / self.screen.pixel_m(DISTANCE)
             self._solid.show(self.T_eye_obj, replace(self._look, size_px=size_px))
-        strokes = triangles.Strokes()
+        strokes = Strokes()
         self._captions.begin()
         marks = [(p, _POINT, str(i)) for i, p in enumerate(self._points, start=1)]
         if self._pending is not None:
@@ -177,9 +176,7 @@ class ModelView:
         self._captions.end()
         self._strokes.show(strokes)
 
-    def _mark(
-        self, strokes: triangles.Strokes, point: Array, color: triangles.Color, text: str
-    ) -> None:
+    def _mark(self, strokes: Strokes, point: Array, color: Color, text: str) -> None:
         scale = self.pixel_ratio
         seen = self.T_eye_obj @ point
         x, y = self.screen.project(seen)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annotator.app.view_options import Mode, Style
-from annotator.views import layers, meshes, projection, solids, triangles, viewpoint
+from annotator.views import layers, meshes, projection, solids, viewpoint
+from annotator.views.strokes import rgba
 from std_toolkit.html.plots import object_color
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class ObjectLayer:
             solid = self._solid_of(obj.name, state.model(obj.model))
             if solid is None:
                 continue
-            color = triangles.rgba(object_color(ids, obj.id))[:3]
+            color = rgba(object_color(ids, obj.id))[:3]
             look = _look(view, obj.name, color, light=light, pixel_ratio=pixel_ratio)
             T_eye_obj = view.T_eye_obj(obj.name) if _is_shown(view, obj.name) else None
             look = replace(

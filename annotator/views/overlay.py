@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from annotator.app.controller import Controller
 from annotator.app.view_options import CloudSource, Gizmo, Mode
 from annotator.session import Click
-from annotator.views import cloud_layer, gizmo, layers, solids, triangles, viewpoint
+from annotator.views import cloud_layer, gizmo, layers, solids, viewpoint
+from annotator.views.strokes import Color, Strokes, rgba
 from std_toolkit.html.plots import object_color
 
 # Arrow length: fraction of the drawing area, smallest and largest value.
 GIZMO_SHARE, SMALLEST_GIZMO_PX, LARGEST_GIZMO_PX = 0.16, 38.0, 92.0
 
-_CAMERA: triangles.Color = (0.93, 0.86, 0.62, 0.9)
+_CAMERA: Color = (0.93, 0.86, 0.62, 0.9)
 
 _WARNING = (0.98, 0.78, 0.35)
 
@@ -28,16 +29,16 @@ ScreenPoints = NDArray[np.float64]
 _GAP_PX = 4.0
 
 
-_PIXEL: triangles.Color = (1.0, 0.85, 0.2, 1.0)
+_PIXEL: Color = (1.0, 0.85, 0.2, 1.0)
 
 
-_POINT: triangles.Color = (0.3, 0.95, 1.0, 1.0)
+_POINT: Color = (0.3, 0.95, 1.0, 1.0)
 
 
-_RESIDUAL: triangles.Color = (1.0, 0.35, 0.3, 1.0)
+_RESIDUAL: Color = (1.0, 0.35, 0.3, 1.0)
 
 
-_SHADOW: triangles.Color = (0.0, 0.0, 0.0, 0.6)
+_SHADOW: Color = (0.0, 0.0, 0.0, 0.6)
 
 
 class OverlaidView(viewpoint.Viewpoint, ABC):
@@ -81,7 +82,7 @@ class OverlaidView(viewpoint.Viewpoint, ABC):
         return gizmo.GizmoFrame(self.screen, centre, axes, size, self.up())
 
 
-def draw_overlay(strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView) -> None:
+def draw_overlay(strokes: Strokes, captions: layers.Captions, view: OverlaidView) -> None:
     """Draw the overlay over image, cloud and meshes."""
     if view.mode is Mode.CLOUD:
         _draw_cameras(strokes, captions, view)
@@ -99,9 +100,7 @@ def draw_overlay(strokes: triangles.Strokes, captions: layers.Captions, view: Ov
     _say_captions(captions, view)
 
 
-def _draw_cameras(
-    strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView
-) -> None:
+def _draw_cameras(strokes: Strokes, captions: layers.Captions, view: OverlaidView) -> None:
     """Draw the cameras of the frames of the views."""
     T_eye_world = view.T_eye_world
     session, scale = view.controller.session, view.pixel_ratio
@@ -188,7 +187,7 @@ def _say_name(captions: layers.Captions, view: OverlaidView) -> None:
     x = float(np.clip(seen[:, 0].mean(), 30 * scale, view.size[0] - 30 * scale))
     y = float(np.clip(seen[:, 1].min() - 8 * scale, 40 * scale, view.size[1] - 10 * scale))
     ids = [o.id for o in controller.session.state.objects]
-    color = triangles.rgba(object_color(ids, controller.session.object(name).id))
+    color = rgba(object_color(ids, controller.session.object(name).id))
     captions.say(
         "name",
         name,
@@ -205,7 +204,7 @@ def _fused(view: OverlaidView) -> bool:
     return view.controller.options.cloud is CloudSource.FUSED and view.controller.session.posed
 
 
-def _darker(color: triangles.Color) -> tuple[float, float, float]:
+def _darker(color: Color) -> tuple[float, float, float]:
     """Return the colour mixed with the background colour, so that white text is readable on it."""
     r, g, b = (0.55 * c + 0.45 * p for c, p in zip(color[:3], layers.PAPER, strict=True))
     return r, g, b
@@ -248,7 +247,7 @@ def _beside(ends: ScreenPoints, gap: float) -> ScreenPoints:
     return along * np.divide(gap, length, out=np.ones_like(length), where=length > gap)
 
 
-def draw_markers(strokes: triangles.Strokes, captions: layers.Captions, view: OverlaidView) -> None:
+def draw_markers(strokes: Strokes, captions: layers.Captions, view: OverlaidView) -> None:
     """Draw the pixels, the projected mesh points, and the residuals between them."""
     controller, scale = view.controller, view.pixel_ratio
     name = controller.selected
@@ -285,7 +284,7 @@ def draw_markers(strokes: triangles.Strokes, captions: layers.Captions, view: Ov
         )
 
 
-def _draw_pending(strokes: triangles.Strokes, at: ScreenPoints, scale: float) -> None:
+def _draw_pending(strokes: Strokes, at: ScreenPoints, scale: float) -> None:
     """Draw the pending point."""
     strokes.ring(at, 8.5 * scale, 3.6 * scale, _SHADOW)
     strokes.ring(at, 8.5 * scale, 1.8 * scale, _PIXEL)

@@ -14,21 +14,8 @@ from numpy.typing import NDArray
 
 from annotator.app.controller import Controller
 from annotator.app.view_options import Mode
-from annotator.views import drags, gizmo, scene_view
-from annotator.views.interaction import (
-    Array,
-    Events,
-    MarkerGesture,
-    OrbitGesture,
-    PanGesture,
-    add_pixel,
-    interactor_of,
-    marker_at,
-    pick_point,
-)
+from annotator.views import drags, gizmo, interaction, scene_view
 from std_toolkit.geometry import SE3, so3_exp
-
-__all__ = ["Pointer", "interactor_of"]
 
 # Numbers of VTK's pointer shapes (vtkRenderWindow.h).
 VTK_CURSOR_DEFAULT, VTK_CURSOR_HAND, VTK_CURSOR_CROSSHAIR = 0, 9, 10
@@ -45,47 +32,6 @@ WHEEL_PAUSE_S = 0.4
 SMALLEST_TRACKBALL_PX = 60.0
 
 Later = Callable[[float, Callable[[], None]], None]
-
-
-class Gesture(Protocol):
-    """Current drag; positions are (2,) screen positions.
-
-    Attributes:
-        moves_view: whether it moves the eye of this view instead of objects.
-    """
-
-    moves_view: bool
-
-    def start(self, at: Array) -> None: ...
-    def to(self, at: Array) -> None: ...
-    def finish(self) -> None: ...
-    def cancel(self) -> None: ...
-
-
-class PoseGesture:
-    """Moves an object in all views; the release commits one edit."""
-
-    moves_view = False
-
-    def __init__(
-        self, view: scene_view.SceneView, name: str, drag: drags.Drag, method: str
-    ) -> None:
-        self._view, self._name, self._drag, self._method = view, name, drag, method
-        self._frame = view.frame
-        self._T_cam_eye = view.T_eye_cam.inverse()
-
-    def start(self, at: Array) -> None:
-        pass
-
-    def to(self, at: Array) -> None:
-        T_cam_obj = self._T_cam_eye @ self._drag.to(at)
-        self._view.controller.drag_to(self._name, self._frame, T_cam_obj)
-
-    def finish(self) -> None:
-        self._view.controller.end_drag(self._method)
-
-    def cancel(self) -> None:
-        self._view.controller.cancel_drag()
 
 
 class Motion(Protocol):
@@ -108,12 +54,12 @@ class Pointer:
     ) -> None:
         self.view, self.controller = view, controller
         self._motion, self._later = motion, later
-        self._gesture: Gesture | None = None
+        self._gesture: interaction.Gesture | None = None
         self._pressed_at: NDArray[np.float64] | None = None
         self._pressing = self._dragging = False
         self._in_front: str | None = None
         self._wheel_turn = 0
-        self._events = Events(
+        self._events = interaction.Events(
             view.plotter,
             {
                 "LeftButtonPressEvent": self._left_pressed,
@@ -162,11 +108,11 @@ class Pointer:
             return
         self._begin(self._left_gesture(at), at)
 
-    def _left_gesture(self, at: NDArray[np.float64]) -> Gesture:
+    def _left_gesture(self, at: NDArray[np.float64]) -> interaction.Gesture:
         if self.controller.clicking:
-            index = marker_at(self.view, at)
+            index = interaction.marker_at(self.view, at)
             if index is not None and self.controller.session.writable:
-                return MarkerGesture(self.view, index)
+                return interaction.MarkerGesture(self.view, index)
             return self._background()
         frame = self.view.gizmo_frame()
         handle = frame.hit(self.controller.gizmo, at) if frame is not None else None
@@ -217,7 +163,7 @@ class Pointer:
             return None
         return self.view.up()
 
-    def _trackball(self, name: str, at: NDArray[np.float64]) -> Gesture:
+    def _trackball(self, name: str, at: NDArray[np.float64]) -> interaction.Gesture:
         self.controller.select(name)
         pose, solid = self.view.T_eye_obj(name), self.view.solid(name)
         if pose is None or solid is None:
@@ -229,21 +175,25 @@ class Pointer:
 
     def _pose_gesture(
         self, name: str, drag: drags.Drag, method: str, handle: gizmo.Handle | None = None
-    ) -> Gesture:
+    ) -> interaction.Gesture:
         if not self.controller.session.writable:
             return self._background()
         self.view.held = handle
-        return PoseGesture(self.view, name, drag, method)
+        return interaction.PoseGesture(self.view, name, drag, method)
 
-    def _background(self) -> Gesture:
-        return OrbitGesture(self.view) if self.view.mode is Mode.CLOUD else PanGesture(self.view)
+    def _background(self) -> interaction.Gesture:
+        return (
+            interaction.OrbitGesture(self.view)
+            if self.view.mode is Mode.CLOUD
+            else interaction.PanGesture(self.view)
+        )
 
     def _other_pressed(self, *_: object) -> None:
         self._motion.end_wheels()
         if self._gesture is None:
-            self._begin(PanGesture(self.view), self.at())
+            self._begin(interaction.PanGesture(self.view), self.at())
 
-    def _begin(self, gesture: Gesture, at: NDArray[np.float64]) -> None:
+    def _begin(self, gesture: interaction.Gesture, at: NDArray[np.float64]) -> None:
         self._gesture, self._pressed_at, self._dragging = gesture, at, False
 
     def _moved(self, *_: object) -> None:
@@ -268,7 +218,7 @@ class Pointer:
         self.view.held = None
         if self._dragging:
             gesture.finish()
-        elif self.controller.clicking and not isinstance(gesture, MarkerGesture):
+        elif self.controller.clicking and not isinstance(gesture, interaction.MarkerGesture):
             self._click(self.at())
         elif in_front is not None:
             self.controller.select(in_front)
@@ -276,9 +226,9 @@ class Pointer:
 
     def _click(self, at: NDArray[np.float64]) -> None:
         if self.controller.pending_point is None:
-            pick_point(self.view, at)
+            interaction.pick_point(self.view, at)
         else:
-            add_pixel(self.view, at)
+            interaction.add_pixel(self.view, at)
 
     # --- keys, wheel, hovering ------------------------------------------------------------------
 
@@ -299,7 +249,7 @@ class Pointer:
     def give_up_drag(self) -> None:
         """Ignore the rest of a gesture whose drag was ended elsewhere."""
         self._wheel_turn = 0
-        if self._dragging and isinstance(self._gesture, PoseGesture):
+        if self._dragging and isinstance(self._gesture, interaction.PoseGesture):
             self._gesture = None
             self.view.held = None
 

@@ -90,12 +90,10 @@ class ImageWindow:
         )
 
     @staticmethod
-    def around(
-        middle: ArrayLike, reach: float, screen: tuple[int, int], *, largest: float = LARGEST_SCALE
-    ) -> ImageWindow:
+    def around(middle: ArrayLike, reach: float, screen: tuple[int, int]) -> ImageWindow:
         """Return the window centred at the image position `middle` with `reach` pixels around."""
         u, v = np.asarray(middle, dtype=np.float64)
-        scale = min(min(screen) / (2 * reach), largest)
+        scale = min(min(screen) / (2 * reach), LARGEST_SCALE)
         return ImageWindow(
             scale, screen[0] / 2 - scale * (u + 0.5), screen[1] / 2 - scale * (v + 0.5)
         )

@@ -19,9 +19,9 @@ from annotator.views import (
     overlay,
     picture,
     solids,
-    triangles,
 )
 from annotator.views.clouds import Cloud, CloudReader
+from annotator.views.strokes import Strokes
 from std_toolkit.errors import ToolkitError
 
 Array = NDArray[np.float64]
@@ -198,7 +198,7 @@ class SceneView(overlay.OverlaidView):
             self._table.show(plane, self.T_eye_of(table.plane.frame))
 
     def _show_glass(self) -> None:
-        strokes = triangles.Strokes()
+        strokes = Strokes()
         self.captions.begin()
         overlay.draw_overlay(strokes, self.captions, self)
         self.captions.end()

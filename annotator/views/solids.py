@@ -13,7 +13,8 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 from annotator.app.view_options import Style
 from annotator.views import meshes, projection, triangles
 from annotator.views.layers import Layers, fill, place
-from annotator.views.mesh_colors import ColoredMesh
+from annotator.views.strokes import Color, Strokes
+from annotator.views.triangles import ColoredMesh
 from std_toolkit.geometry import SE3
 
 # Replaces the depth of vertices by a constant, so that props drawn first hide later ones.
@@ -100,7 +101,7 @@ class Solid:
         look: Appearance,
         slot: int,
         slots: int,
-        color: triangles.Color,
+        color: Color,
     ) -> None:
         """Draw the silhouette; lower slots occlude higher ones."""
         if self.T_eye_obj is None:
@@ -119,7 +120,7 @@ class Solid:
             surface = self._surface(look.light)
             edges = surface.silhouette(self.T_eye_obj.inverse().t)
             seen = camera.project(self.T_eye_obj @ edges.reshape(-1, 3)).reshape(-1, 2, 2)
-            strokes = triangles.Strokes()
+            strokes = Strokes()
             # The mask hides the inner half of the line, hence the double width.
             strokes.segments(seen, 2 * look.contour, color)
             points, colors, faces = strokes.arrays()

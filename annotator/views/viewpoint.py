@@ -177,7 +177,7 @@ class Viewpoint:
 
     def T_eye_of(self, frame_name: str) -> SE3 | None:
         """Return the transform of "world" or "camera 12" to eye coordinates; None if unknown."""
-        T_cam = self.controller.T_cam_of(self.frame, frame_name)
+        T_cam = self.controller.session.T_cam_of(self.frame, frame_name)
         return None if T_cam is None else self.T_eye_cam @ T_cam
 
     def up(self) -> Array:

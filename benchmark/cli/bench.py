@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 from std_toolkit.cli.command import Command, Program, print_json
@@ -47,56 +44,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return PROGRAM.main(arguments)
 
 
-def rewrite_aliases(words: list[str]) -> list[str]:
-    """The command line of an older one, which had `--task` and `--list-methods`.
-
-    >>> rewrite_aliases(["--task", "pose", "--method", "nocs"])
-    ['pose', '--method', 'nocs']
-    >>> rewrite_aliases(["--list-methods", "--task", "pose"])
-    ['list', 'methods', '--task', 'pose']
-    """
-    if words and not words[0].startswith("-"):
-        return words
-    words = [part for w in words for part in (w.split("=", 1) if w.startswith("--task=") else [w])]
-    task: list[str] = []
-    if "--task" in words[:-1]:
-        place = words.index("--task")
-        task = [words[place + 1]]
-        del words[place : place + 2]
-    for old, new in (("--list-methods", "methods"), ("--list-splits", "splits")):
-        if old in words:
-            words.remove(old)
-            return ["list", new, *(["--task", *task] if task else []), *words]
-    if "--check-data" in words:
-        words.remove("--check-data")
-        return ["check-data", *words]
-    return [*task, *words]
-
-
 def score(config: NetworkConfig | BopConfig) -> int:
     """Score methods or result files; returns the exit status."""
-    from benchmark.evaluation.engine import run_all
+    from benchmark.evaluation.evaluate import score_config
 
-    with ExitStack() as stack:
-        if config.out is None:  # the table is only printed
-            config = replace(config, out=Path(stack.enter_context(TemporaryDirectory())))
-        task = importlib.import_module(f"benchmark.evaluation.tasks.{config.task}").TASK
-        report = run_all(task.plan(config), config.jobs)
-        results = [run.read() for run in report.finished]
-        if config.json:
-            print_json(task.records(results, config) if results else [])
-        elif results:
-            print(task.table(results, config))
-    for title, error in report.failed.items():
+    scored = score_config(config)
+    if config.json:
+        print_json(scored.records)
+    elif scored.results:
+        print(scored.table)
+    for title, error in scored.campaign.failed.items():
         print(f"error: {title}: {error}", file=sys.stderr)
-    return 1 if report.failed or report.failed_frames else 0
+    return 1 if scored.campaign.failed or scored.campaign.failed_frames else 0
 
 
 def list_names(options: ListOptions) -> int:
     """Print methods or splits with a line about each; returns the exit status."""
     import inspect
 
-    from benchmark.methods import registry
+    from benchmark.methods.registry import METHODS
     from std_toolkit.errors import ToolkitError
 
     about: dict[str, str] = {}
@@ -105,11 +71,7 @@ def list_names(options: ListOptions) -> int:
 
         about = {name: get_split(name).about for name in splits.names()}
     else:
-        methods: Any = {
-            "depth": registry.restorers,
-            "pose": registry.pose_methods,
-            "grasp": registry.grasp_planners,
-        }[options.task]
+        methods = METHODS[options.task]
         for name in methods.names():
             try:
                 about[name] = (inspect.getdoc(methods.get(name)) or "").partition("\n")[0]
@@ -183,7 +145,6 @@ PROGRAM = Program(
         ),
     ),
     default="depth",
-    rewrite=rewrite_aliases,
 )
 
 if __name__ == "__main__":

@@ -144,7 +144,7 @@ def _read_camera(folder: Path, size: tuple[int, int]) -> Camera:
     for place in (folder, folder.parent):
         path = place / INTRINSICS
         if path.is_file():
-            return read_intrinsics(str(path), size=size).camera(size, path=str(path))
+            return read_intrinsics(str(path), size=size).scene_camera(size, path=str(path))
     logger.warning("%s: no %s: using a field of view of 69.4 degrees", folder, INTRINSICS)
     return camera_of_view(size)
 

@@ -118,7 +118,7 @@ def read_scene_camera(folder: Path, layout: std_importer.Layout) -> SceneCamera:
             read = intrinsics.read_intrinsics(str(record))
             if read.size is None:
                 raise ToolkitError("the record tells no image size", path=record, field="width")
-            return SceneCamera(read.camera(read.size, path=str(record)), given=True)
+            return SceneCamera(read.scene_camera(read.size, path=str(record)), given=True)
     return SceneCamera(constant)
 
 

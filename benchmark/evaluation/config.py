@@ -16,6 +16,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.options import JobOptions
+from std_toolkit.plugins import setting_of
 
 if TYPE_CHECKING:
     from benchmark.methods.registry import MethodOptions
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Fit = Literal["ransac", "paper"]
 FITS: tuple[Fit, ...] = get_args(Fit)
+
+# Before the label and an id of a method that is an object of this process.
+OBJECT = "object:"
 
 _LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 _LONGEST_LABEL = 120  # file systems stop at 255 bytes
@@ -355,9 +359,7 @@ def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str
     """
     settings: dict[str, dict[str, str]] = {method: {} for method in methods}
     for method, text in _by_method(texts, methods, "settings", "."):
-        name, equals, value = text.partition("=")
-        if not (name and equals):
-            raise ToolkitError("expected NAME=VALUE", field="settings", value=text)
+        name, value = setting_of(text)
         settings[method][name] = value
     return settings
 
@@ -390,7 +392,11 @@ def plain_label(name: str) -> str:
     'file.py.Class'
     >>> plain_label("command:docker run megapose")
     'command.docker'
+    >>> plain_label("object:Mine:0f3a")
+    'Mine'
     """
+    if name.startswith(OBJECT):
+        return name.split(":")[1]
     if name.startswith("command:"):
         words = name.removeprefix("command:").split()
         return f"command.{Path(words[0]).name}" if words else "command"

@@ -18,13 +18,13 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import pandas as pd
 
-from benchmark.evaluation.manifest import begin
 from benchmark.evaluation.results import good_frames, join_parts, report_failures
 from benchmark.methods.registry import MethodOptions, shipped_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.io.documents import digest_file
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.scene.document import digest_file
+from std_toolkit.jobs.artefact import begin
 
 # The replacement of a dead worker waits until the system has released the lock.
 _PATIENCE_S = 30.0
@@ -207,7 +207,7 @@ class TaskRun(Generic[D, M]):
         """Prepare a worker process."""
 
     def manifest(self, data: D, methods: M) -> Any:
-        """Return the manifest of the run, see `benchmark.evaluation.manifest.begin`."""
+        """Return the manifest of the run, see `benchmark.evaluation.manifest`."""
         raise NotImplementedError
 
     def items(self, data: D, done: set[int], workers: int) -> Sequence[Any]:
@@ -288,7 +288,14 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
     folder, table = run.folder, run.table_name
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="writing to", wait=True):
-        begin(folder, manifest, run.manifest_name, run.beside)
+        begin(
+            folder / run.manifest_name,
+            manifest,
+            within=["setup"],
+            what="these results were",
+            hint=f"choose another {'--label or ' if hasattr(manifest, 'label') else ''}--out",
+            beside=run.beside,
+        )
         sweep_temporaries(folder)
         # Joined before parts are added: they may have the names of earlier ones.
         work = run.items(data, good_frames(join_parts(folder, table)), jobs.worker_count)

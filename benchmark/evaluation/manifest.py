@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,8 +11,6 @@ from typing import Annotated, Any
 import msgspec
 
 from std_toolkit import __version__
-from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import begin_folder
 from std_toolkit.jobs.options import usable_cores
 
 # Names that tables, pages and terminals show. Results may come from somebody else.
@@ -92,33 +89,6 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     weights: str
     packages: dict[str, str]
     hardware: dict[str, str]
-
-
-def begin(folder: Path, manifest: Any, name: str = MANIFEST, beside: Sequence[str] = ()) -> None:
-    """Write the manifest of a new run, or check that the existing run has the same setup.
-
-    Args:
-        folder: folder of the run.
-        manifest: a structure with a field `setup`, such as `Manifest`.
-        name: file name.
-        beside: files of older versions that may exist without a manifest.
-
-    Raises:
-        ToolkitError: the folder has a run with a different setup; names the field.
-    """
-    path = folder / name
-    begun = begin_folder(path, manifest, hint="choose another --out", beside=beside)
-    for field in manifest.setup.__struct_fields__:
-        was, now = getattr(begun.setup, field), getattr(manifest.setup, field)
-        if was != now:
-            other = "--label or --out" if hasattr(manifest, "label") else "--out"
-            raise ToolkitError(
-                f"these results were begun with {was!r}",
-                path=path,
-                field=f"setup.{field}",
-                value=now,
-                hint=f"choose another {other}",
-            )
 
 
 def circumstances() -> dict[str, Any]:

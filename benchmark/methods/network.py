@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from benchmark.methods import protocol, registry, weights
+from std_toolkit import plugins
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import pixel_rays
 
@@ -221,7 +222,7 @@ def network_of(
     Raises:
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
-    config = registry.configured(registry.preset_of(presets, options.preset), options.settings)
+    config = plugins.configured(registry.preset_of(presets, options.preset), options.settings)
     torch_device(options.device)  # refused before weights are read
     network = make(config)
     path = weights.weights_for(method, options)

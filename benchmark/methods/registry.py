@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import traceback
-import types
-import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from benchmark.methods.protocol import GraspPlanner, PoseEstimator, Restorer
 from std_toolkit.errors import ToolkitError, missing_extra
@@ -22,93 +20,16 @@ T = TypeVar("T")
 
 Config = TypeVar("Config")
 
-_TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
-
-_FALSITIES = {"false": False, "no": False, "off": False, "0": False}
-
 PUBLISHED, COMPACT, SMALL = "published", "compact", "small"
 
 COMMAND = "command:"
 
 SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 
-pose_methods: Registry[PoseMethodFactory] = Registry(
-    "std_toolkit.pose_methods",
-    {
-        "gt-nocs": "benchmark.methods.pose.ground_truth:GroundTruthNOCS",
-        "swindrnet-nocs": "benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs:SwinDRNetNOCS",
-        "nocs": "benchmark.methods.pose.nocs.nocs:NOCS",
-        "crop-nocs": "benchmark.methods.pose.crop_nocs:CropNOCS",
-        "spd": "benchmark.methods.pose.spd:SPD",
-        "sgpa": "benchmark.methods.pose.sgpa:SGPA",
-    },
-)
-
-grasp_planners: Registry[PlannerFactory] = Registry(
-    "std_toolkit.grasp_planners",
-    {
-        "antipodal": "benchmark.methods.grasp.antipodal.antipodal:Antipodal",
-        "flat-patches": "benchmark.methods.grasp.flat_patches:FlatPatches",
-        "graspnet": "benchmark.methods.grasp.graspnet.graspnet:GraspNet",
-    },
-)
-
-
-def make_method(
-    registry: Registry[Callable[[Any], T]],
-    name: str,
-    options: object,
-    *,
-    called: str,
-    has: Sequence[str] = (),
-    guide: str,
-) -> T:
-    """A method by its name, or by `package.module:Class`.
-
-    Args:
-        registry: of its kind.
-        name: which one.
-        options: what its class takes.
-        called: the method that it must have.
-        has: attributes that it must have.
-        guide: the page that shows how one is written.
-
-    Raises:
-        ToolkitError: no such method, one that lacks a part, or what it says of its options.
-    """
-    factory = registry.get(name)
-    if not callable(factory):
-        raise ToolkitError(
-            "is not a class that takes MethodOptions", value=name, hint=f"{guide} shows one"
-        )
-    try:
-        method = factory(options)
-    except (ToolkitError, MemoryError):
-        raise
-    except Exception as error:
-        if (missing := missing_extra(error)) is not None:
-            raise missing from error
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise ToolkitError(
-            f"the method cannot be made: {type(error).__name__}: {' '.join(str(error).split())}",
-            value=name,
-            hint=f"raised in {place.filename}, line {place.lineno}",
-        ) from error
-    absent = [part for part in has if not hasattr(method, part)]
-    absent += [] if callable(getattr(method, called, None)) else [called]
-    if absent:
-        raise ToolkitError(
-            "the method has no such attribute",
-            field=", ".join(absent),
-            value=name,
-            hint=f"{guide} tells what a method must have",
-        )
-    return method
-
 
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions:
-    """How to make a restorer.
+    """How to make a method.
 
     Attributes:
         preset: size of a network: `published` or `compact`; others ignore it.
@@ -127,9 +48,70 @@ class MethodOptions:
     settings: Mapping[str, str] = field(default_factory=dict)
 
 
-RestorerFactory = Callable[[MethodOptions], Restorer]
+class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
+    """The methods of a task: classes and functions that take `MethodOptions`.
 
-restorers: Registry[RestorerFactory] = Registry(
+    Args:
+        group: entry-point group.
+        builtin: name to `package.module:Class`.
+        called: the method that each must have.
+        has: attributes that each must have.
+        guide: the page that shows how one is written.
+    """
+
+    def __init__(
+        self,
+        group: str,
+        builtin: dict[str, str],
+        *,
+        called: str,
+        has: Sequence[str] = (),
+        guide: str,
+    ) -> None:
+        super().__init__(group, builtin)
+        self.called, self.has, self.guide = called, has, guide
+
+    def make(self, name: str, options: MethodOptions | None = None) -> T:
+        """A method by its name, by `package.module:Class`, or by `file.py:Class`.
+
+        Raises:
+            ToolkitError: no such method, one that lacks a part, or what it says of its options and
+                weights.
+        """
+        factory = self.get(name)
+        if not callable(factory):
+            raise ToolkitError(
+                "is not a class that takes MethodOptions",
+                value=name,
+                hint=f"{self.guide} shows one",
+            )
+        try:
+            method = factory(options or MethodOptions())
+        except (ToolkitError, MemoryError):
+            raise
+        except Exception as error:
+            if (missing := missing_extra(error)) is not None:
+                raise missing from error
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            text = " ".join(str(error).split())
+            raise ToolkitError(
+                f"the method cannot be made: {type(error).__name__}: {text}",
+                value=name,
+                hint=f"raised in {place.filename}, line {place.lineno}",
+            ) from error
+        absent = [part for part in self.has if not hasattr(method, part)]
+        absent += [] if callable(getattr(method, self.called, None)) else [self.called]
+        if absent:
+            raise ToolkitError(
+                "the method has no such attribute",
+                field=", ".join(absent),
+                value=name,
+                hint=f"{self.guide} tells what a method must have",
+            )
+        return method
+
+
+restorers: MethodRegistry[Restorer] = MethodRegistry(
     "std_toolkit.restorers",
     {
         "raw": "benchmark.methods.depth.filling.filler:Raw",
@@ -147,47 +129,70 @@ restorers: Registry[RestorerFactory] = Registry(
         "two-branch": "benchmark.methods.depth.two_branch:TwoBranch",
         "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
     },
+    called="restore",
+    has=("input_size", "needs_mask"),
+    guide="docs/methods.md",
 )
 
 
+class _PoseMethods(MethodRegistry[PoseEstimator]):
+    def make(self, name: str, options: MethodOptions | None = None) -> PoseEstimator:
+        """As `MethodRegistry.make`, or a program as `command:PROGRAM ARGUMENTS`."""
+        if name.startswith(COMMAND):
+            given = options or MethodOptions()
+            settings = {**given.settings, "command": name.removeprefix(COMMAND)}
+            options = replace(given, settings=settings)
+            name = "benchmark.methods.pose.command:CommandMethod"
+        return super().make(name, options)
+
+
+pose_methods = _PoseMethods(
+    "std_toolkit.pose_methods",
+    {
+        "gt-nocs": "benchmark.methods.pose.ground_truth:GroundTruthNOCS",
+        "swindrnet-nocs": "benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs:SwinDRNetNOCS",
+        "nocs": "benchmark.methods.pose.nocs.nocs:NOCS",
+        "crop-nocs": "benchmark.methods.pose.crop_nocs:CropNOCS",
+        "spd": "benchmark.methods.pose.spd:SPD",
+        "sgpa": "benchmark.methods.pose.sgpa:SGPA",
+    },
+    called="estimate",
+    has=("input_size", "needs_truth"),
+    guide="docs/pose.md",
+)
+
+grasp_planners: MethodRegistry[GraspPlanner] = MethodRegistry(
+    "std_toolkit.grasp_planners",
+    {
+        "antipodal": "benchmark.methods.grasp.antipodal.antipodal:Antipodal",
+        "flat-patches": "benchmark.methods.grasp.flat_patches:FlatPatches",
+        "graspnet": "benchmark.methods.grasp.graspnet.graspnet:GraspNet",
+    },
+    called="plan",
+    guide="docs/grasp_methods.md",
+)
+
+# By task.
+METHODS: dict[str, MethodRegistry[Any]] = {
+    "depth": restorers,
+    "pose": pose_methods,
+    "grasp": grasp_planners,
+}
+
+
 def make_restorer(name: str, options: MethodOptions | None = None) -> Restorer:
-    """A restorer by its name, or by `package.module:Class`.
-
-    Raises:
-        ToolkitError: no such method, or what the method says of its options and weights.
-    """
-    return make_method(
-        restorers,
-        name,
-        options or MethodOptions(),
-        called="restore",
-        has=("input_size", "needs_mask"),
-        guide="docs/methods.md",
-    )
+    """A depth restorer; see `MethodRegistry.make`."""
+    return restorers.make(name, options)
 
 
-def configured(config: Config, settings: Mapping[str, str]) -> Config:
-    """`config`, a dataclass, with the fields named in `settings` set.
+def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEstimator:
+    """A pose method; see `MethodRegistry.make`. `command:PROGRAM ARGUMENTS` runs a program."""
+    return pose_methods.make(name, options)
 
-    Fields may be bool, int, float, str, literals, tuples of one of them (`96,192,384`), and any
-    of these or None (`none`).
 
-    Raises:
-        ToolkitError: no such field, or text that is no value for it.
-    """
-    hints = typing.get_type_hints(type(config))
-    known = [field.name for field in fields(config)]  # type: ignore[arg-type]
-    changes: dict[str, Any] = {}
-    for name, text in settings.items():
-        if name not in known:
-            raise ToolkitError(
-                "the method has no such setting", field=name, hint=f"it has {', '.join(known)}"
-            )
-        try:
-            changes[name] = _value(hints[name], text.strip())
-        except ValueError as error:
-            raise ToolkitError(str(error), field=name, value=text) from error
-    return replace(config, **changes)  # type: ignore[type-var]
+def make_planner(name: str, options: MethodOptions | None = None) -> GraspPlanner:
+    """A grasp planner; see `MethodRegistry.make`."""
+    return grasp_planners.make(name, options)
 
 
 def preset_of(presets: Mapping[str, Config], name: str) -> Config:
@@ -201,32 +206,6 @@ def preset_of(presets: Mapping[str, Config], name: str) -> Config:
             "the method has no such preset", value=name, hint=f"it has {', '.join(presets)}"
         )
     return presets[name]
-
-
-def _value(kind: Any, text: str) -> Any:
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin is typing.Literal:
-        if text not in arguments:
-            raise ValueError(f"expected one of {', '.join(arguments)}")
-        return text
-    if origin in (types.UnionType, typing.Union):
-        if text.lower() == "none" and type(None) in arguments:
-            return None
-        (kind,) = (a for a in arguments if a is not type(None))
-        return _value(kind, text)
-    if origin is tuple:
-        parts = text.split(",")
-        if arguments[-1] is not Ellipsis and len(parts) != len(arguments):
-            raise ValueError(f"expected {len(arguments)} values with commas between them")
-        return tuple(_value(arguments[0], part.strip()) for part in parts)
-    if kind is bool:
-        if (truth := {**_TRUTHS, **_FALSITIES}.get(text.lower())) is None:
-            raise ValueError("expected true or false")
-        return truth
-    try:
-        return kind(text)
-    except ValueError:
-        raise ValueError(f"expected {'a whole number' if kind is int else 'a number'}") from None
 
 
 def shipped_file(method: str, preset: str) -> Path:
@@ -296,45 +275,3 @@ def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
             if shipped_file(method, preset).is_file():
                 return preset
     return PUBLISHED
-
-
-PoseMethodFactory = Callable[[MethodOptions], PoseEstimator]
-
-
-def make_pose_method(name: str, options: MethodOptions | None = None) -> PoseEstimator:
-    """A pose method by its name, by `package.module:Class`, or as `command:PROGRAM ARGUMENTS`.
-
-    Raises:
-        ToolkitError: no such method, or what the method says of its options and weights.
-    """
-    if name.startswith(COMMAND):
-        given = options or MethodOptions()
-        settings = {**given.settings, "command": name.removeprefix(COMMAND)}
-        options = replace(given, settings=settings)
-        name = "benchmark.methods.pose.command:CommandMethod"
-    return make_method(
-        pose_methods,
-        name,
-        options or MethodOptions(),
-        called="estimate",
-        has=("input_size", "needs_truth"),
-        guide="docs/pose.md",
-    )
-
-
-PlannerFactory = Callable[[MethodOptions], GraspPlanner]
-
-
-def make_planner(name: str, options: MethodOptions | None = None) -> GraspPlanner:
-    """A planner by its name, or by `package.module:Class`.
-
-    Raises:
-        ToolkitError: no such planner, or what the planner says of its options and weights.
-    """
-    return make_method(
-        grasp_planners,
-        name,
-        options or MethodOptions(),
-        called="plan",
-        guide="docs/grasp_methods.md",
-    )

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import multiprocessing
-import os
-import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from benchmark.data.splits import open_split, where_to_get
+from benchmark.data.splits import get_split, open_split, where_to_get
 from benchmark.recipes.recipe import BASE_SETS, Recipe, Scale
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
+from std_toolkit.jobs.runner import die_with_parent
+from std_toolkit.log import log_to_stderr, logger
 
 if TYPE_CHECKING:
     from sensors.simulation.options import SimulationOptions
@@ -81,14 +82,7 @@ class FrameSet:
 
     def missing(self) -> list[int]:
         """Scenes that are still to be simulated."""
-        from sensors.output.dreds import scene_folder
-        from sensors.simulation.simulated_set import scene_name
-
-        return [
-            seed
-            for seed in self.seeds
-            if not scene_folder(self.root, self.part, scene_name(seed)).is_dir()
-        ]
+        return [seed for seed, folder in self._folders().items() if not folder.is_dir()]
 
     def check_scenes(self) -> None:
         """Check that the folder holds no scene of other seeds: it would be trained on, too.
@@ -96,13 +90,10 @@ class FrameSet:
         Raises:
             ToolkitError: it does, maybe from a run of another size.
         """
-        from sensors.output.dreds import scene_folder
-        from sensors.simulation.simulated_set import scene_name
-
-        wanted = {scene_name(seed) for seed in self.seeds}
-        folder = scene_folder(self.root, self.part, scene_name(self.seeds[0])).parent
-        there = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
-        other = [name for name in there if name.isdigit() and name not in wanted]
+        wanted = list(self._folders().values())
+        folder = wanted[0].parent
+        there = sorted(folder.iterdir()) if folder.is_dir() else []
+        other = [p.name for p in there if p.name.isdigit() and p not in wanted]
         if other:
             raise ToolkitError(
                 "scenes that are not of the set",
@@ -111,6 +102,87 @@ class FrameSet:
                 hint="move them away, or choose another --out",
             )
 
+    def _folders(self) -> dict[int, Path]:
+        """Folders of the scenes by seed."""
+        from sensors.output.dreds import scene_folder
+        from sensors.simulation.simulated_set import scene_name
+
+        return {seed: scene_folder(self.root, self.part, scene_name(seed)) for seed in self.seeds}
+
+    def simulate(self, jobs: JobOptions) -> dict[str, str]:
+        """Make the scenes that are not there yet; an error line for each that failed.
+
+        Raises:
+            ToolkitError: the folder holds another set or scenes of other seeds, the disk is full,
+                or the simulator cannot run.
+        """
+        from sensors.simulation.simulated_set import SET_FILE, SetRecord
+
+        self.check_scenes()
+        record = self.root / SET_FILE
+        is_whole = record.is_file() and not self.missing()
+        if is_whole and read_document(record, SetRecord).options == self.options:
+            logger.info("set %s: kept, %d frames", self.name, self.frames)
+            return {}
+        # In a process of its own: the tracer's libraries stay out of this one, which is going to
+        # load torch.
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context, initializer=_prepare) as pool:
+            try:
+                failed = pool.submit(_simulate, self, jobs).result()
+            except BrokenProcessPool as error:
+                raise ToolkitError(
+                    "the simulating process died (killed, or out of memory)",
+                    path=self.root,
+                    hint="run the same command again to go on",
+                ) from error
+        return {f"scene {key}": error for key, error in failed.items()}
+
+
+def _prepare() -> None:
+    log_to_stderr(logging.INFO)
+    # A killed recipe must not go on simulating beside the one that is started next.
+    die_with_parent()
+
+
+def _simulate(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
+    from sensors.simulation.simulated_set import simulate_set
+
+    assert frames.options is not None
+    report = simulate_set(frames.root, frames.options, frames.seeds, split=frames.part, jobs=jobs)
+    return report.failed
+
+
+def named_folders(
+    texts: Sequence[str], known: Sequence[str], what: str, field: str | None = None
+) -> list[tuple[str, Path]]:
+    """Name, or "", and folder of texts `[NAME=]DIR`.
+
+    Raises:
+        ToolkitError: no such name or folder.
+    """
+    found = []
+    for text in texts:
+        name, equals, folder = text.partition("=")
+        if not equals or Path(text).exists():  # a folder's own name may hold "="
+            name, folder = "", text
+        if name and name not in known:
+            raise ToolkitError(
+                f"the recipe has no such {what}",
+                field=field,
+                value=name,
+                hint=f"it has {', '.join(known)}",
+            )
+        if not Path(folder).is_dir():
+            raise ToolkitError("no such folder", path=folder)
+        found.append((name, Path(folder)))
+    return found
+
+
+def mark_of(root: Path) -> str:
+    """Tells folders of the user apart in names of files."""
+    return hashlib.sha256(str(root.resolve()).encode()).hexdigest()[:8]
+
 
 def parse_given(texts: Sequence[str], usual: str, recipe: Recipe) -> dict[str, Path]:
     """Folders by set, of texts `[SET=]DIR`.
@@ -118,21 +190,11 @@ def parse_given(texts: Sequence[str], usual: str, recipe: Recipe) -> dict[str, P
     Raises:
         ToolkitError: no such set or folder, or a set twice.
     """
-    known = (*BASE_SETS, *recipe.sets)
     found: dict[str, Path] = {}
-    for text in texts:
-        name, equals, folder = text.partition("=")
-        if not equals or Path(text).exists():
-            name, folder = usual, text
-        if name not in known:
-            raise ToolkitError(
-                "the recipe has no such set", value=name, hint=f"it has {', '.join(known)}"
-            )
-        if name in found:
-            raise ToolkitError("two folders for one set", field=name, value=folder)
-        if not Path(folder).is_dir():
-            raise ToolkitError("no such folder", path=folder)
-        found[name] = Path(folder)
+    for name, folder in named_folders(texts, (*BASE_SETS, *recipe.sets), "set"):
+        if (name or usual) in found:
+            raise ToolkitError("two folders for one set", field=name or usual, value=folder)
+        found[name or usual] = folder
     return found
 
 
@@ -154,10 +216,7 @@ def given_set(name: str, root: Path, prefer: str) -> FrameSet:
             open_split(split, root)
         except ToolkitError:
             continue
-        digest = hashlib.sha256(str(root.resolve()).encode()).hexdigest()[:8]
-        return FrameSet(name=f"{name}-{digest}", root=root, split=split)
-    from benchmark.data.splits import get_split
-
+        return FrameSet(name=f"{name}-{mark_of(root)}", root=root, split=split)
     raise ToolkitError(
         "no frames of a simulated set here",
         path=root,
@@ -199,7 +258,6 @@ def _alike(name: str, recipe: Recipe, base: FrameSet, out: Path) -> FrameSet:
     """A set with the scenes of the user's, by other options."""
     from sensors.simulation.options import SimulationOptions
     from sensors.simulation.simulated_set import SET_FILE, SetRecord
-    from std_toolkit.io.documents import read_document
 
     like, record = recipe.sets[name].like, base.root / SET_FILE
     hint = f"give this set, too: {name}=DIR"
@@ -227,51 +285,3 @@ def _convert(options: Mapping[str, Any], type_: Any, name: str) -> Any:
     except msgspec.ValidationError as error:
         problem, _, at = str(error).partition(" - at `$")
         raise ToolkitError(problem, field=f"sets.{name}.options{at.strip('`')}") from error
-
-
-def simulate(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
-    """Make the scenes that are not there yet, in a process of their own.
-
-    The tracer's libraries stay out of this process, which is going to load torch.
-
-    Returns:
-        An error line for each scene that failed.
-
-    Raises:
-        ToolkitError: the folder holds another set, the disk is full, or the simulator cannot run.
-    """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=_prepare) as pool:
-        try:
-            return pool.submit(_simulate_here, frames, jobs).result()
-        except BrokenProcessPool as error:
-            raise ToolkitError(
-                "the simulating process died (killed, or out of memory)",
-                path=frames.root,
-                hint="run the same command again to go on",
-            ) from error
-
-
-def _simulate_here(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
-    from sensors.simulation.simulated_set import simulate_set
-
-    assert frames.options is not None
-    report = simulate_set(frames.root, frames.options, frames.seeds, split=frames.part, jobs=jobs)
-    return report.failed
-
-
-def _prepare() -> None:
-    import logging
-
-    from std_toolkit.log import log_to_stderr
-
-    log_to_stderr(logging.INFO)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
-
-
-def _die_with_parent() -> None:
-    # A killed recipe must not go on simulating beside the one that is started next.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)

@@ -14,7 +14,7 @@ from benchmark.evaluation.tasks.depth_results import RunResult, read_run, summar
 from benchmark.methods.registry import MethodOptions, shipped_weights
 from benchmark.recipes.frame_sets import FrameSet
 from benchmark.recipes.recipe_plan import Entry, Pack
-from benchmark.recipes.recipe_run import Trained, make_pack, make_set, train
+from benchmark.recipes.recipe_run import Trained, make_pack, train
 from benchmark.training.options import MineOptions, NormKind, TrainOptions
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
@@ -103,7 +103,7 @@ def fine_tune(options: MineOptions) -> MineReport:
     problems: dict[str, str] = {}
     for frames in [*training, *tests.values()]:
         if frames.options is not None:
-            problems |= {f"scene {k}": e for k, e in make_set(frames, options.jobs).items()}
+            problems |= frames.simulate(options.jobs)
     packs = [
         Pack(folder=options.out / "packs" / frames.name, frames=frames, size=_PACK, raw="sensor")
         for frames in training

@@ -7,6 +7,7 @@ A recipe is a TOML file; those of the toolkit are in `experiments/`. A `Scale`, 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -91,25 +92,18 @@ class Variant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     published: Printed | None = None
 
 
-class PoseVariant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A pose network, trained on the recipe's frames, and the depth that its poses rest on.
+class PoseVariant(Variant, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A pose network, and the depth that its poses rest on; its row is of the table of poses.
+
+    Variants of one method, settings and set share weights.
 
     Attributes:
-        title: its name in tables.
-        method, settings: of `std-train`.
-        set: frames that it is trained on. Variants of one method, settings and set share weights.
         depth: `raw`, `gt`, or the name of a variant that restores depth.
         fit: of poses, see `std-bench pose`.
-        published: the row of the recipe's table of poses that it is held against.
     """
 
-    title: str
-    method: str
-    settings: dict[str, str] = {}
-    set: str = "train"
     depth: str = "raw"
     fit: Literal["ransac", "paper"] = "ransac"
-    published: Printed | None = None
 
 
 class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -142,6 +136,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     compare: list[tuple[str, str]] = []
 
     def __post_init__(self) -> None:
+        trained = {f"variants.{n}": v for n, v in self.variants.items()}
+        trained |= {f"poses.{n}": p for n, p in self.poses.items()}
         for part in ("variants", "tests", "sets", "poses"):
             for name in getattr(self, part):
                 if not _NAME.fullmatch(name):
@@ -154,26 +150,14 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         for name, derived in self.sets.items():
             if name in BASE_SETS:
                 raise ToolkitError("the scale has this set", field="sets", value=name)
-            if derived.like not in BASE_SETS:
-                raise ToolkitError(
-                    "no such set", field=f"sets.{name}.like", value=derived.like,
-                    hint=f"one of {', '.join(BASE_SETS)}",
-                )  # fmt: skip
-        known = (*BASE_SETS, *self.sets)
-        used = {f"variants.{n}.set": v.set for n, v in self.variants.items()}
-        used |= {f"tests.{n}.set": t.set for n, t in self.tests.items() if t.set}
-        used |= {f"poses.{n}.set": p.set for n, p in self.poses.items()}
+            _check_known("set", derived.like, BASE_SETS, f"sets.{name}.like")
         for name, pose in self.poses.items():
-            if pose.depth not in (*POSE_DEPTHS, *self.variants):
-                raise ToolkitError(
-                    "no such depth", field=f"poses.{name}.depth", value=pose.depth,
-                    hint=f"one of {', '.join((*POSE_DEPTHS, *self.variants))}",
-                )  # fmt: skip
+            depths = (*POSE_DEPTHS, *self.variants)
+            _check_known("depth", pose.depth, depths, f"poses.{name}.depth")
+        used = {part: v.set for part, v in trained.items()}
+        used |= {f"tests.{n}": t.set for n, t in self.tests.items() if t.set}
         for part, value in used.items():
-            if value not in known:
-                raise ToolkitError(
-                    "no such set", field=part, value=value, hint=f"one of {', '.join(known)}"
-                )
+            _check_known("set", value, (*BASE_SETS, *self.sets), f"{part}.set")
         scored = {*self.variants, *self.baselines}
         for pair in self.compare:
             if not any(set(pair) <= names for names in (scored, set(self.poses))):
@@ -181,13 +165,18 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                     "no two variants or poses of these names", field="compare", value=pair,
                     hint=f"variants: {', '.join(sorted(scored))}; poses: {', '.join(self.poses)}",
                 )  # fmt: skip
-        for name, variant in self.variants.items():
+        for part, variant in trained.items():
             if not 0 < variant.share <= 1:
                 raise ToolkitError(
-                    "must lie above 0 and at most 1",
-                    field=f"variants.{name}.share",
-                    value=variant.share,
+                    "must lie above 0 and at most 1", field=f"{part}.share", value=variant.share
                 )
+
+
+def _check_known(kind: str, value: str, known: Sequence[str], field: str) -> None:
+    if value not in known:
+        raise ToolkitError(
+            f"no such {kind}", field=field, value=value, hint=f"one of {', '.join(known)}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,8 +353,5 @@ def get_scale(name: str) -> Scale:
         ToolkitError: there is none.
     """
     known = scales()
-    if name not in known:
-        raise ToolkitError(
-            "no such scale", field="--scale", value=name, hint=f"one of {', '.join(known)}"
-        )
+    _check_known("scale", name, tuple(known), "--scale")
     return known[name]

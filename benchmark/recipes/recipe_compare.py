@@ -18,7 +18,7 @@ from benchmark.metrics.pose import get_pose_protocol
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods, holm
 from benchmark.recipes.recipe import Printed
-from benchmark.recipes.recipe_plan import RecipePlan
+from benchmark.recipes.recipe_plan import Entry, RecipePlan
 from benchmark.recipes.recipe_poses import published_poses
 from benchmark.recipes.recipe_run import Outcome
 from benchmark.recipes.recipe_table import RANKED_BY, printed_rows
@@ -113,26 +113,34 @@ def _depth_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict
             if protocol not in of_a or protocol not in of_b:
                 continue
             found = _depth_difference(of_a[protocol], of_b[protocol])
-            if found is None:
-                continue
-            published, where = nan, ""
-            if protocol == _PAPERS:
-                mine = printed[printed["subset"] == found["subset"]]
-                two = (entries[a].published, entries[b].published)
-                published, where = _published(mine, target.dataset, two, RANKED_BY)
-            rows.append(
-                found
-                | {
-                    "test": target.name,
-                    "protocol": protocol,
-                    "figure": RANKED_BY,
-                    "first": entries[a].title,
-                    "second": entries[b].title,
-                    "published": published,
-                    "published_on": where,
-                }
-            )
+            if found is not None:
+                two = (entries[a], entries[b])
+                rows.append(found | _beside(target, protocol, RANKED_BY, two, found, printed))
     return rows
+
+
+def _beside(
+    target: Target,
+    protocol: str,
+    figure: str,
+    two: Sequence[Entry],
+    found: Mapping[str, Any],
+    printed: pd.DataFrame,
+) -> dict[str, object]:
+    """What was compared, and the published difference by the paper's protocol."""
+    published, where = nan, ""
+    if protocol == _PAPERS and len(printed):
+        mine = printed[printed["subset"] == found["subset"]]
+        published, where = _published(mine, target.dataset, [e.published for e in two], figure)
+    return {
+        "test": target.name,
+        "protocol": protocol,
+        "figure": figure,
+        "first": two[0].title,
+        "second": two[1].title,
+        "published": published,
+        "published_on": where,
+    }
 
 
 def _depth_difference(first: RunResult, second: RunResult) -> dict[str, Any] | None:
@@ -176,17 +184,17 @@ def _printed(rows: pd.DataFrame, row: Printed | None, figure: str) -> float:
 
 
 def _pose_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict[str, object]]:
-    poses = plan.recipe.poses
+    poses = plan.poses
     if not poses:
         return []
-    printed = published_poses(plan.recipe.pose_table) if plan.recipe.pose_table else None
+    printed = published_poses(plan.recipe.pose_table)
     rows: list[dict[str, object]] = []
-    for a, b in pairs_of(plan, list(poses)):
+    for a, b in pairs_of(plan, list(plan.recipe.poses)):
         two = [outcome.poses[n, target.name] for n in (a, b) if (n, target.name) in outcome.poses]
         if len(two) < 2:
             continue
         # Some tables of the paper are of all objects alone.
-        is_printed = printed is None or _SUBSET_OF[HARD] in set(printed["subset"])
+        is_printed = not len(printed) or _SUBSET_OF[HARD] in set(printed["subset"])
         subset = HARD if is_printed and _has_hard(two[0]) else ALL
         for protocol in plan.recipe.pose_protocols:
             of_a, of_b = (score_run(r, get_pose_protocol(protocol), subset) for r in two)
@@ -196,20 +204,12 @@ def _pose_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict[
             found = compare_runs(of_a, of_b, samples=_SAMPLES)
             for figure in (f for f in POSE_FIGURES if f in found.columns):
                 difference, low, high, p = found.of(figure)
-                published, where = nan, ""
-                if protocol == _PAPERS and printed is not None:
-                    mine = printed[printed["subset"] == _SUBSET_OF[subset]]
-                    pair = (poses[a].published, poses[b].published)
-                    published, where = _published(mine, target.dataset, pair, figure)
-                rows.append(
-                    {
-                        "test": target.name, "subset": _SUBSET_OF[subset], "protocol": protocol,
-                        "figure": figure, "first": poses[a].title, "second": poses[b].title,
-                        "difference": difference, "low": low, "high": high, "p": p,
-                        "frames": found.frames, "scenes": found.scenes, "published": published,
-                        "published_on": where,
-                    }
-                )  # fmt: skip
+                row = {
+                    "subset": _SUBSET_OF[subset], "difference": difference, "low": low,
+                    "high": high, "p": p, "frames": found.frames, "scenes": found.scenes,
+                }  # fmt: skip
+                pair = (poses[a], poses[b])
+                rows.append(row | _beside(target, protocol, figure, pair, row, printed))
     return rows
 
 

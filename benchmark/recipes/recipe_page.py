@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from math import nan
@@ -44,11 +45,12 @@ def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> st
     plan.folder.mkdir(parents=True, exist_ok=True)
     poses = recipe_poses.pose_rows(plan, outcome)
     pose_tables = recipe_poses.pose_tables(plan, poses) if plan.poses else []
+    sections = _sections(plan, outcome, rows, compared, pose_tables)
     texts = {
         CSV: rows.to_csv(index=False, lineterminator="\n"),
         DIFFERENCES_CSV: differences.to_csv(index=False, lineterminator="\n"),
-        MARKDOWN: markdown(plan, outcome, rows, compared, pose_tables),
-        PAGE: html(plan, outcome, rows, compared, pose_tables),
+        MARKDOWN: markdown(plan, sections),
+        PAGE: html(plan, outcome, sections),
     }
     if plan.poses:
         texts[POSES_CSV] = poses.to_csv(index=False, lineterminator="\n")
@@ -64,46 +66,14 @@ def scale_line(plan: recipe_plan.RecipePlan) -> str:
     return f"Scale: {plan.scale_name} ({plan.scale.about})"
 
 
-def markdown(
+def _sections(
     plan: recipe_plan.RecipePlan,
     outcome: recipe_run.Outcome,
     rows: pd.DataFrame,
     compared: Sequence[Table],
-    pose_tables: Sequence[Table] = (),
-) -> str:
-    """The tables as GitHub's Markdown; published rows in italics."""
-    lines = [f"# {plan.recipe.title}", "", f"**{scale_line(plan)}**", "", plan.recipe.about, ""]
-    if compared:
-        lines += [f"## Differences (scale {plan.scale_name})", ""]
-        for table in compared:
-            lines += [table.markdown(), ""]
-    for target in plan.targets:
-        mine = rows[rows["test"] == target.name]
-        lines += [f"## {target.title} (scale {plan.scale_name})", "", f"{_data(mine)}.", ""]
-        lines += [f"- **{what}**: {why}" for what, why in _absent(mine)]
-        for table in _tables(mine):
-            lines += ["", table.markdown()]
-        lines.append("")
-    if pose_tables:
-        lines += [f"## Poses (scale {plan.scale_name})", ""]
-        for table in pose_tables:
-            lines += [table.markdown(), ""]
-    lines += [NOTE]
-    if outcome.problems:
-        lines += ["", f"## What did not run (scale {plan.scale_name})", ""]
-        lines += [f"- {what}: {why}" for what, why in outcome.problems.items()]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def html(
-    plan: recipe_plan.RecipePlan,
-    outcome: recipe_run.Outcome,
-    rows: pd.DataFrame,
-    compared: Sequence[Table],
-    pose_tables: Sequence[Table] = (),
-) -> str:
-    """One file that needs nothing but itself; the same results give the same bytes."""
-    results = [result for found in outcome.results.values() for result in found]
+    pose_tables: Sequence[Table],
+) -> list[Section]:
+    """What the page and the text share. Each section states the scale: it is shown as a picture."""
     sections = [Section("differences", "Differences", list(compared))] if compared else []
     for i, target in enumerate(plan.targets):
         mine = rows[rows["test"] == target.name]
@@ -112,22 +82,53 @@ def html(
         sections.append(Section(f"test-{i}", target.title, [*blocks, *_tables(mine)]))
     if pose_tables:
         sections.append(Section("poses", "Poses", list(pose_tables)))
-    problems = [Paragraph(why, f"{what}:") for what, why in outcome.problems.items()]
-    sections += [
-        Section("problems", "What did not run", [Bullets(problems)]),
-        Section("pictures", "Pictures", gallery(_shown(plan, results))),
-        Section("runs", "What ran", [run_table(results)]),
-    ]
-    # Each section states the scale, because sections are shown as pictures.
+    if outcome.problems:
+        problems = [Paragraph(why, f"{what}:") for what, why in outcome.problems.items()]
+        sections.append(Section("problems", "What did not run", [Bullets(problems)]))
+    return [replace(section, mark=f"scale {plan.scale_name}") for section in sections]
+
+
+def markdown(plan: recipe_plan.RecipePlan, sections: Sequence[Section]) -> str:
+    """The tables as GitHub's Markdown; published rows in italics."""
+    lines = [f"# {plan.recipe.title}", "", f"**{scale_line(plan)}**", "", plan.recipe.about, ""]
+    for section in sections:
+        lines += ["", NOTE] if section.anchor == "problems" else []
+        lines += ["", f"## {section.title} ({section.mark})", ""]
+        for block in section.blocks:
+            if isinstance(block, Table):
+                lines += ["", block.markdown(), ""]
+            elif isinstance(block, Bullets):
+                lines += [f"- {item.lead} {item.text}" for item in block.items]
+            elif isinstance(block, Paragraph):
+                lead = block.lead.rstrip(":")
+                lines += [f"- **{lead}**: {block.text}"] if lead else [block.text, ""]
+    lines += [] if NOTE in lines else ["", NOTE]
+    return re.sub("\n{3,}", "\n\n", "\n".join(lines)) + "\n"
+
+
+def html(
+    plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome, sections: Sequence[Section]
+) -> str:
+    """One file that needs nothing but itself; the same results give the same bytes."""
+    results = [result for found in outcome.results.values() for result in found]
     mark = f"scale {plan.scale_name}"
-    state = "fail" if plan.scale_name == "tiny" else ""
+    more = [
+        Section("pictures", "Pictures", gallery(_shown(plan, results)), mark),
+        Section("runs", "What ran", [run_table(results)], mark),
+    ]
     return Page(
         kind="Recipe",
         title=plan.recipe.title,
         tab_title=f"{plan.recipe.title}, {mark}",
-        verdicts=[Verdict(plan.scale.about, f"Scale: {plan.scale_name}", state)],
+        verdicts=[
+            Verdict(
+                plan.scale.about,
+                f"Scale: {plan.scale_name}",
+                "fail" if plan.scale_name == "tiny" else "",
+            )
+        ],
         intro=[Paragraph(text) for text in (plan.recipe.about, NOTE)],
-        sections=[replace(section, mark=mark) for section in sections],
+        sections=[*sections, *more],
         footer=f"std-toolkit {__version__}, `std-train recipe {plan.name} --scale "
         f"{plan.scale_name}`. The same figures: `{CSV}`.",
     ).html()

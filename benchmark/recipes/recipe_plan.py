@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec.structs import asdict
 
+from benchmark.evaluation.depth_choice import DepthChoice
 from benchmark.evaluation.tasks.depth import Run
+from benchmark.evaluation.tasks.pose import PoseRun
 from benchmark.methods.registry import MethodOptions, make_restorer
 from benchmark.published.load import published_table
-from benchmark.recipes.frame_sets import FrameSet, given_set, parse_given, plan_set
+from benchmark.recipes.frame_sets import FrameSet, given_set, mark_of, parse_given, plan_set
 from benchmark.recipes.recipe import (
     POSE_DEPTHS,
     PoseVariant,
@@ -52,10 +53,11 @@ class Entry:
         name: in the recipe.
         title: in tables.
         label: in names of files; the same training has the same in every recipe.
-        method, preset, settings: of the restorer.
+        method, preset, settings: of the restorer or the pose network.
         published: the printed row beside it.
         packs: that it is trained on, and judged by where those are others.
         training: its options, and `folder` of it; None without learning.
+        pose: of a pose network, what it rests on.
         problem: why it cannot run.
     """
 
@@ -69,7 +71,14 @@ class Entry:
     packs: tuple[Pack, ...] = ()
     training: TrainOptions | None = None
     folder: Path | None = None
+    pose: PoseVariant | None = None
     problem: str = ""
+
+    @property
+    def options(self) -> MethodOptions:
+        """Its preset, settings and trained weights."""
+        weights = None if self.folder is None else self.folder / BEST
+        return MethodOptions(preset=self.preset, weights=weights, settings=self.settings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,38 +116,35 @@ class RecipePlan:
             return frames.split, frames.root, f"simulated-{frames.name}"
         if target.root is None:
             return None
-        digest = hashlib.sha256(str(target.root.resolve()).encode()).hexdigest()[:8]
-        return target.split, target.root, f"{target.name}-{digest}"
+        return target.split, target.root, f"{target.name}-{mark_of(target.root)}"
 
-    def runs(self, entry: Entry) -> list[tuple[Target, Run]]:
-        """Scores of an entry on all tests that are available."""
-        weights = None if entry.folder is None else entry.folder / BEST
-        options = MethodOptions(preset=entry.preset, weights=weights, settings=entry.settings)
-        found = []
-        for target in self.targets:
-            place = self.place(target)
-            if place is None:
-                continue
-            split, root, name = place
-            found += [
-                (
-                    target,
-                    Run(
-                        split=split,
-                        root=root,
-                        method=entry.method,
-                        options=options,
-                        protocol=protocol,
-                        label=entry.label,
-                        out=self.out / "results" / name,
-                        devices=self.devices if entry.folder else ("cpu",),
-                        limit=self.scale.limit,
-                        speed=False,
-                    ),
-                )
-                for protocol in self.recipe.protocols
-            ]
-        return found
+    def runs(self, entry: Entry, target: Target) -> list[Run | PoseRun]:
+        """Scores of an entry on a test; none if the test is not available."""
+        place = self.place(target)
+        if place is None:
+            return []
+        split, root, name = place
+        out = self.out / "results" / name
+        common: dict[str, Any] = {
+            "split": split,
+            "root": root,
+            "method": entry.method,
+            "options": entry.options,
+            "label": entry.label,
+            "devices": self.devices if entry.folder else ("cpu",),
+            "limit": self.scale.limit,
+        }
+        if entry.pose is None:
+            protocols = self.recipe.protocols
+            return [Run(**common, out=out, protocol=p, speed=False) for p in protocols]
+        depth = folder = entry.pose.depth
+        choice = DepthChoice(name=depth)
+        if depth not in POSE_DEPTHS:
+            restorer = next(e for e in self.entries if e.name == depth)
+            choice = DepthChoice(name=restorer.method, options=restorer.options)
+            folder = restorer.label
+        out = out / f"depth-{folder}"
+        return [PoseRun(**common, out=out, depth=choice, fit=entry.pose.fit)]
 
 
 def plan_recipe(config: RecipeConfig) -> RecipePlan:
@@ -182,20 +188,14 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
         Entry(name=method, title=method, label=method.replace(":", "."), method=method)
         for method in recipe.baselines
     ]
-    trained = {
-        key: _entry(key, variant, config, scale, sets[variant.set], validation, out)
-        for key, variant in variants.items()
-    }
-    poses = {
-        key: _entry(key, _plain(pose), config, scale, sets[pose.set], validation, out, nocs=True)
-        for key, pose in wanted.items()
-    }
-    usable = {key: entry for key, entry in trained.items() if not entry.problem}
-    fitting = {key: entry for key, entry in poses.items() if not entry.problem}
-    every = [*usable.values(), *fitting.values()]
-    packs = {pack.folder: pack for entry in every for pack in entry.packs}
-    used = {variants[key].set for key in usable} | {t.set for t in targets if t.set}
-    used |= {recipe.poses[key].set for key in fitting}
+    trained, poses = (
+        {k: _entry(k, v, config, scale, sets[v.set], validation, out) for k, v in chosen.items()}
+        for chosen in (variants, wanted)
+    )
+    usable = [e for e in (*trained.values(), *poses.values()) if not e.problem]
+    packs = {pack.folder: pack for entry in usable for pack in entry.packs}
+    used = {pack.frames.name for pack in packs.values()}
+    used |= {sets[t.set].name for t in targets if t.set}
     extra = "" if not config.seed else f".seed-{config.seed}"
     extra += "" if config.steps is None else f".steps-{config.steps}"
     return RecipePlan(
@@ -204,24 +204,13 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
         scale_name=config.scale,
         scale=scale,
         folder=out / f"{name}{extra}",
-        sets={key: frames for key, frames in sets.items() if key in used},
+        sets={key: frames for key, frames in sets.items() if frames.name in used},
         packs=list(packs.values()),
         entries=[*baselines, *trained.values()],
         targets=[_with_reason(target, recipe, sets) for target in targets],
         out=out,
         devices=config.devices,
         poses=poses,
-    )
-
-
-def _plain(pose: PoseVariant) -> Variant:
-    """What is trained of a pose variant."""
-    return Variant(
-        title=pose.title,
-        method=pose.method,
-        settings=pose.settings,
-        set=pose.set,
-        published=pose.published,
     )
 
 
@@ -245,12 +234,12 @@ def _entry(
     frames: FrameSet,
     validation: FrameSet | None,
     out: Path,
-    *,
-    nocs: bool = False,
 ) -> Entry:
     from benchmark.training.catalogue import get_trainable
     from benchmark.training.options import TrainOptions
 
+    pose = variant if isinstance(variant, PoseVariant) else None
+    nocs = pose is not None
     planned = Entry(
         name=name,
         title=variant.title,
@@ -258,6 +247,7 @@ def _entry(
         method=variant.method,
         preset=scale.preset,
         published=variant.published,
+        pose=pose,
     )
     how = scale.of(variant.method)
     try:

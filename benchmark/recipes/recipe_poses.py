@@ -1,90 +1,27 @@
-"""Pose methods of a recipe: trained on its frames, scored on raw, true and restored depth."""
+"""The table of a recipe's pose methods: measured rows and published ones."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pandas as pd
 
-from benchmark.evaluation.depth_choice import RAW, TRUE, DepthChoice
-from benchmark.evaluation.engine import run_all
-from benchmark.evaluation.tasks.pose import PoseRun
 from benchmark.evaluation.tasks.pose_results import (
     ALL,
     HARD,
     PoseResult,
     heading,
-    read_pose_run,
     score_run,
 )
-from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose import get_pose_protocol
 from benchmark.published.load import published_rows
-from benchmark.recipes.recipe_plan import Entry, RecipePlan
+from benchmark.recipes.recipe_plan import RecipePlan
+from benchmark.recipes.recipe_run import Outcome
 from benchmark.recipes.targets import Target
-from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Cell, Column, Row, Table
-from std_toolkit.jobs import JobOptions
-
-if TYPE_CHECKING:
-    from benchmark.recipes.recipe_run import Outcome
 
 MEASURED, PUBLISHED, ABSENT = "measured", "published", "not measured"
 _SUBSETS = {ALL: "all", HARD: "specular_transparent"}
 _SAMPLES = 1000
-
-
-def pose_runs(plan: RecipePlan, name: str) -> list[tuple[Target, PoseRun]]:
-    """Scores of a pose variant on all tests that are available."""
-    entry, depth = plan.poses[name], plan.recipe.poses[name].depth
-    options = _options(entry)
-    found = []
-    for target in plan.targets:
-        place = plan.place(target)
-        if place is None:
-            continue
-        split, root, results = place
-        choice, folder = DepthChoice(name=depth), depth
-        if depth not in (RAW, TRUE):
-            restorer = next(e for e in plan.entries if e.name == depth)
-            choice = DepthChoice(name=restorer.method, options=_options(restorer))
-            folder = restorer.label
-        run = PoseRun(
-            split=split,
-            root=root,
-            method=entry.method,
-            options=options,
-            label=entry.label,
-            out=plan.out / "results" / results / f"depth-{folder}",
-            depth=choice,
-            fit=plan.recipe.poses[name].fit,
-            devices=plan.devices,
-            limit=plan.scale.limit,
-        )
-        found.append((target, run))
-    return found
-
-
-def _options(entry: Entry) -> MethodOptions:
-    weights = None if entry.folder is None else entry.folder / BEST
-    return MethodOptions(preset=entry.preset, weights=weights, settings=entry.settings)
-
-
-def score_poses(plan: RecipePlan, name: str, jobs: JobOptions, outcome: Outcome) -> None:
-    """Score a pose variant on one test after the other; errors go to the outcome."""
-    title = plan.recipe.poses[name].title
-    for target, run in pose_runs(plan, name):
-        try:
-            report = run_all([run], jobs)
-        except ToolkitError as error:
-            outcome.problems[f"{title} on {target.name}"] = str(error)
-            continue
-        outcome.problems |= {f"{title}, {k}": e for k, e in report.failed.items()}
-        if report.failed_frames:
-            outcome.problems[f"{title} on {target.name}"] = f"{report.failed_frames} frames failed"
-        for done in report.finished:
-            outcome.poses[name, target.name] = read_pose_run(done.folder)
 
 
 def pose_rows(plan: RecipePlan, outcome: Outcome) -> pd.DataFrame:

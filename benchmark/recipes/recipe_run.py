@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmark.evaluation.engine import run_all
-from benchmark.evaluation.tasks.depth_results import RunResult, read_run
+from benchmark.evaluation.tasks.depth import Run
+from benchmark.evaluation.tasks.depth_results import RunResult
+from benchmark.evaluation.tasks.pose import PoseRun
 from benchmark.evaluation.tasks.pose_results import PoseResult
-from benchmark.recipes.frame_sets import FrameSet, simulate
 from benchmark.recipes.recipe_plan import Entry, Pack, RecipePlan
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import hold_lock
+from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 
@@ -68,13 +72,15 @@ def run_recipe(
 ) -> Outcome:
     """Simulate, pack, train and score what is not done yet.
 
-    A variant that fails does not keep the others from running.
+    Each step is a command of its own (`std-sim`, `std-train pack`, `std-train`, `std-bench`) and
+    knows from its own files what is done. A variant that fails does not keep the others from
+    running.
 
     Args:
         plan: all steps.
         machine: where networks are trained.
         jobs: where all else runs.
-        after: called with the results so far after every variant, at least once.
+        after: called with the results so far after every variant.
 
     Raises:
         ToolkitError: no test is available, or a set or a pack cannot be made, or is another than it
@@ -88,38 +94,75 @@ def run_recipe(
             value=[target.name for target in plan.targets],
             hint=f"{first.absent} (`--plan` tells about all tests)",
         )
-    outcome = Outcome(problems={e.title: e.problem for e in plan.entries if e.problem})
-    for frames in plan.sets.values():
-        if frames.options is None:
-            continue
-        with spent(plan.out, f"set {frames.name}"):
-            failed = make_set(frames, jobs)
-        outcome.problems |= {f"set {frames.name}, scene {k}": e for k, e in failed.items()}
-    for pack in plan.packs:
-        with spent(plan.out, f"pack {pack.folder.name}"):
-            failed = make_pack(pack, jobs)
-        outcome.problems |= {f"pack {pack.folder.name}, {k}": e for k, e in failed.items()}
-    for entry in plan.entries:
-        if entry.problem:
-            logger.error("%s: %s", entry.title, entry.problem)
-            continue
+    entries = [*plan.entries, *plan.poses.values()]
+    outcome = Outcome(problems={e.title: e.problem for e in entries if e.problem})
+    steps: list[tuple[str, Callable[[JobOptions], dict[str, str]]]] = [
+        (f"set {frames.name}", frames.simulate)
+        for frames in plan.sets.values()
+        if frames.options is not None
+    ]
+    steps += [(f"pack {pack.folder.name}", partial(make_pack, pack)) for pack in plan.packs]
+    for name, make in steps:
+        with spent(plan.out, name):
+            failed = make(jobs)
+        outcome.problems |= {f"{name}, {k}": error for k, error in failed.items()}
+    for entry in entries:
         try:
-            if entry.training is not None:
-                with spent(plan.out, f"training {entry.label}"):
-                    outcome.trained[entry.name] = train(entry, machine)
-            with spent(plan.out, f"scores {entry.label}"):
-                _score(plan, entry, jobs, outcome)
+            _run_entry(plan, entry, machine, jobs, outcome)
         except ToolkitError as error:
             logger.error("%s: %s", entry.title, error)
             outcome.problems[entry.title] = str(error)
-        if entry.training is not None:
+        if entry.training is not None or entry.problem:
             after(outcome)
-    for name, entry in plan.poses.items():
-        _pose(plan, name, entry, machine, jobs, outcome)
-        after(outcome)
-    if not outcome.trained:
-        after(outcome)
     return outcome
+
+
+def _run_entry(
+    plan: RecipePlan, entry: Entry, machine: Machine, jobs: JobOptions, outcome: Outcome
+) -> None:
+    """Train an entry, unless another one did, and score it on one test after the other.
+
+    A test that fails keeps no other from being scored.
+    """
+    if entry.problem:
+        logger.error("%s: %s", entry.title, entry.problem)
+        return
+    key, scores = entry.name, f"scores {entry.label}"
+    if entry.pose is not None:
+        key, depth = f"pose {entry.name}", entry.pose.depth
+        scores += f" on {depth}"
+        if depth in plan.recipe.variants and depth not in outcome.trained:
+            raise ToolkitError(f"the depth of {depth} is not there: it was not trained")
+    if entry.training is not None:
+        with spent(plan.out, f"training {entry.label}"):
+            outcome.trained[key] = train(entry, machine)
+    with spent(plan.out, scores):
+        for target in plan.targets:
+            if runs := plan.runs(entry, target):
+                _score(entry, target.name, runs, jobs, outcome)
+
+
+def _score(
+    entry: Entry, target: str, runs: Sequence[Run | PoseRun], jobs: JobOptions, outcome: Outcome
+) -> None:
+    where = f"{entry.title} on {target}"
+    try:
+        report = run_all(runs, jobs)
+    except ToolkitError as error:
+        outcome.problems[where] = str(error)
+        return
+    outcome.problems |= {f"{k} ({target})": e for k, e in report.failed.items()}
+    if report.failed_frames:
+        outcome.problems[where] = (
+            f"{report.failed_frames} frames failed; failures.csv beside the results tells why"
+        )
+    if entry.pose is None:
+        outcome.results[entry.name, target] = []
+    for found in (run.read() for run in report.finished):
+        if isinstance(found, PoseResult):
+            outcome.poses[entry.name, target] = found
+        else:
+            outcome.results[entry.name, target].append(found)
 
 
 @contextmanager
@@ -132,9 +175,6 @@ def spent(out: Path, step: str) -> Iterator[None]:
         out: folder of the scale.
         step: its kind (`set`, `pack`, `training`, `scores`) and name.
     """
-    from std_toolkit.io.atomic import hold_lock
-    from std_toolkit.io.documents import read_document, write_document
-
     begun = sum(os.times()[:4])
     try:
         yield
@@ -146,54 +186,6 @@ def spent(out: Path, step: str) -> Iterator[None]:
             costs = read_document(file, dict[str, float]) if file.is_file() else {}
             costs[step] = round(costs.get(step, 0.0) + added, 2)
             write_document(file, costs)
-
-
-def _pose(
-    plan: RecipePlan,
-    name: str,
-    entry: Entry,
-    machine: Machine,
-    jobs: JobOptions,
-    outcome: Outcome,
-) -> None:
-    """Train a pose network, unless another variant did, and score it."""
-    from benchmark.recipes.recipe_poses import score_poses
-
-    if entry.problem:
-        logger.error("%s: %s", entry.title, entry.problem)
-        outcome.problems[entry.title] = entry.problem
-        return
-    depth = plan.recipe.poses[name].depth
-    if depth in plan.recipe.variants and depth not in outcome.trained:
-        outcome.problems[entry.title] = f"the depth of {depth} is not there: it was not trained"
-        return
-    try:
-        with spent(plan.out, f"training {entry.label}"):
-            outcome.trained[f"pose {name}"] = train(entry, machine)
-        with spent(plan.out, f"scores {entry.label} on {depth}"):
-            score_poses(plan, name, jobs, outcome)
-    except ToolkitError as error:
-        logger.error("%s: %s", entry.title, error)
-        outcome.problems[entry.title] = str(error)
-
-
-def make_set(frames: FrameSet, jobs: JobOptions) -> dict[str, str]:
-    """Simulate what is missing of a set; error lines by scene.
-
-    Raises:
-        ToolkitError: the folder holds another set or scenes of other seeds, or the simulator cannot
-            run.
-    """
-    from sensors.simulation.simulated_set import SET_FILE, SetRecord
-    from std_toolkit.io.documents import read_document
-
-    frames.check_scenes()
-    record = frames.root / SET_FILE
-    is_whole = record.is_file() and not frames.missing()
-    if is_whole and read_document(record, SetRecord).options == frames.options:
-        logger.info("set %s: %d frames are there", frames.name, frames.frames)
-        return {}
-    return simulate(frames, jobs)
 
 
 def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
@@ -233,7 +225,6 @@ def train(entry: Entry, machine: Machine) -> Trained:
     from benchmark.training.fit import fit
     from benchmark.training.plan import plan_training
     from benchmark.training.run_files import BEST, LAST, SCORES
-    from std_toolkit.io.documents import read_document
 
     assert entry.training is not None
     assert entry.folder is not None
@@ -257,21 +248,3 @@ def train(entry: Entry, machine: Machine) -> Trained:
         batch_size=config.optimization.batch_size,
         best_step=best.get("step"),
     )
-
-
-def _score(plan: RecipePlan, entry: Entry, jobs: JobOptions, outcome: Outcome) -> None:
-    """Score on one test after the other: one that fails keeps no other from it."""
-    runs = plan.runs(entry)
-    for target in dict.fromkeys(target.name for target, _ in runs):
-        mine = [run for of, run in runs if of.name == target]
-        try:
-            report = run_all(mine, jobs)
-        except ToolkitError as error:
-            outcome.problems[f"{entry.title} on {target}"] = str(error)
-            continue
-        outcome.problems |= {f"{k} ({target})": e for k, e in report.failed.items()}
-        if report.failed_frames:
-            outcome.problems[f"{entry.title} on {target}"] = (
-                f"{report.failed_frames} frames failed; failures.csv beside the results tells why"
-            )
-        outcome.results[entry.name, target] = [read_run(run.folder) for run in report.finished]

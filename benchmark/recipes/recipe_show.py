@@ -116,7 +116,8 @@ def plan_text(plan: recipe_plan.RecipePlan) -> str:
             lines.append(f"  {target.title}: {plan.sets[target.set].origin}")
         else:
             lines.append(f"  {target.title}: {place[1]}")
-    runs = sum(len(plan.runs(entry)) for entry in plan.entries if not entry.problem)
+    usable = [entry for entry in plan.entries if not entry.problem]
+    runs = sum(len(plan.runs(entry, target)) for entry in usable for target in plan.targets)
     limit = "" if plan.scale.limit is None else f", at most {plan.scale.limit} frames each"
     lines.append(f"scores\n  {runs} runs of a method on a test by a protocol{limit}")
     lines.append(f"page\n  {plan.folder}")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmark.data.splits import get_split, open_split, where_to_get
 from benchmark.published.load import SPLIT_OF
-from benchmark.recipes.frame_sets import given_set
+from benchmark.recipes.frame_sets import given_set, named_folders
 from benchmark.recipes.recipe import Recipe, Test
 from std_toolkit.errors import ToolkitError
 
@@ -47,26 +47,9 @@ def find_targets(recipe: Recipe, data: Sequence[str]) -> list[Target]:
         ToolkitError: no such test or folder, a folder that holds none of the tests, or one that
             does not hold the test that it is given for.
     """
-    named: dict[str, Path] = {}
-    roots: list[Path] = []
-    for text in data:
-        name, equals, folder = text.partition("=")
-        # A folder's own name may hold "=".
-        if not equals or Path(text).exists():
-            name, folder = "", text
-        if not Path(folder).is_dir():
-            raise ToolkitError("no such folder", path=folder)
-        if not name:
-            roots.append(Path(folder))
-        elif name not in recipe.tests:
-            raise ToolkitError(
-                "the recipe has no such test",
-                field="--data",
-                value=name,
-                hint=f"it has {', '.join(recipe.tests)}",
-            )
-        else:
-            named[name] = Path(folder)
+    given = named_folders(data, tuple(recipe.tests), "test", "--data")
+    named = {name: folder for name, folder in given if name}
+    roots = [folder for name, folder in given if not name]
     used: set[Path] = set()
     targets = []
     for name, test in recipe.tests.items():

@@ -11,6 +11,7 @@ import pandas as pd
 from benchmark.data.splits import get_split, splits
 from benchmark.evaluation.results import ERROR, FAILURES, INDEX
 from benchmark.evaluation.tasks.depth_results import OVER_ALL, OVER_ANSWERED, RunResult, summarise
+from benchmark.metrics.depth.figures import COVERAGE, FIGURES
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods
 from benchmark.published.load import published_depth, published_speed
@@ -29,23 +30,7 @@ SIGNIFICANT = 0.05
 PAPERS_PROTOCOL = "paper"
 
 
-METRICS = (
-    Column(
-        name="rmse", heading="RMSE", unit="mm", factor=1e3, published_digits=0, lower_is_better=True
-    ),
-    Column(name="rel", heading="REL", digits=4, published_digits=3, lower_is_better=True),
-    Column(
-        name="mae", heading="MAE", unit="mm", factor=1e3, published_digits=0, lower_is_better=True
-    ),
-    *(
-        Column(name=name, heading=heading, unit="%", factor=100, digits=2, lower_is_better=False)
-        for name, heading in (("d105", "δ1.05"), ("d110", "δ1.10"), ("d125", "δ1.25"))
-    ),
-)
-
-COVERAGE = Column(
-    name="coverage", heading="answered", unit="%", factor=100, digits=2, lower_is_better=False
-)
+METRICS = tuple(figure.column for figure in FIGURES)
 
 COSTS = (
     Column(name="frames_per_s", heading="speed", unit="frames/s", lower_is_better=False),

@@ -8,15 +8,25 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from benchmark.evaluation.depth_panels import restored_strip
 from benchmark.published.citations import write_citations
 from benchmark.restoring.options import LiveOptions
-from benchmark.restoring.outputs import RECORD, paths_of, record_of, setup_of, write_frame
+from benchmark.restoring.outputs import (
+    RECORD,
+    paths_of,
+    record_of,
+    setup_of,
+    write_frame,
+    write_intrinsics,
+)
 from benchmark.restoring.recordings import INTRINSICS, FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer
 from std_toolkit.cameras import CAMERAS, CameraRequest, LiveCamera, LiveFrame
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.undistortion import Undistortion
 from std_toolkit.html.preview import PreviewPage, encoded
 from std_toolkit.io.atomic import check_vacant, write_bytes_atomic
 from std_toolkit.io.documents import write_document
@@ -106,8 +116,12 @@ def restore_live(options: LiveOptions) -> LiveReport:
         )
         camera = CAMERAS.get(options.camera)(request)
         parts.callback(camera.close)
+        undistortion = Undistortion.of(camera.camera)
+        images = camera.camera if undistortion is None else undistortion.camera
+        if undistortion is not None:
+            logger.info("%s", undistortion)
         report = LiveReport(camera.name)
-        writer = None if options.out is None else _Writer(options, restorer, camera)
+        writer = None if options.out is None else _Writer(options, restorer, images)
         status = StatusLine()
         parts.callback(status.end)
         newest = _Newest(camera)
@@ -119,8 +133,12 @@ def restore_live(options: LiveOptions) -> LiveReport:
                     break
                 continue
             started = started or time.monotonic()
+            if undistortion is not None:
+                color: Any = undistortion.image(frame.color)
+                depth: Any = undistortion.depth(frame.depth)
+                frame = LiveFrame(color, depth, frame.timestamp)
             try:
-                restored = restorer.restore_view(frame.color, frame.depth, camera.camera)
+                restored = restorer.restore_view(frame.color, frame.depth, images)
             except ToolkitError as error:
                 report.skipped += 1
                 logger.warning("a frame is skipped: %s", error)
@@ -156,19 +174,12 @@ def _line(report: LiveReport) -> str:
 class _Writer:
     """Keeps the images of the camera in `recording/`, and what is restored beside it."""
 
-    def __init__(self, options: LiveOptions, restorer: Restorer, camera: LiveCamera) -> None:
+    def __init__(self, options: LiveOptions, restorer: Restorer, camera: Camera) -> None:
         assert options.out is not None
         self.out: Path = options.out
         self.camera = camera
         self.setup = setup_of(options.choice, restorer, "png", options.points, options.pictures)
-        lens = camera.camera
-        write_document(
-            self.out / "recording" / INTRINSICS,
-            {
-                **{name: getattr(lens, name) for name in ("width", "height", "fx", "fy")},
-                **{"cx": lens.cx, "cy": lens.cy, "distortion": list(lens.distortion)},
-            },
-        )
+        write_intrinsics(self.out / "recording" / INTRINSICS, camera)
 
     def write(self, number: int, frame: LiveFrame, restored: RestoredFrame) -> None:
         """Write the images of a frame.
@@ -182,7 +193,7 @@ class _Writer:
             name,
             recording / "color" / f"{name}.jpg",
             recording / "depth" / f"{name}.png",
-            self.camera.camera,
+            self.camera,
             _UNIT_M,
         )
         write_color(files.color, frame.color)

@@ -15,13 +15,12 @@ from benchmark.evaluation.manifest import circumstances
 from benchmark.restoring.options import DepthFormat, MethodChoice
 from benchmark.restoring.recordings import FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
-from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, unproject_depth
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, digest_of, write_document
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_depth_png16, write_png
-from std_toolkit.scene.document import digest_file
+from std_toolkit.jobs.artefact import Artefact, Record
 
 RECORD = "restore.json"
 # 16-bit PNG of depth that was an EXR: metres per unit.
@@ -103,11 +102,10 @@ def record_of(setup: RestoreSetup, source: str, frames: int) -> RestoreRecord:
     return RestoreRecord(setup=setup, source=source, frames=frames, **circumstances())
 
 
-class FrameRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`frames/NAME.json`: inputs and outcome of a frame; written last.
+class FrameRecord(Record, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`frames/NAME.json`: record and outcome of a frame; written last.
 
     Attributes:
-        color, depth: 128-bit BLAKE2b hashes of the images.
         unit: metres per number of the restored 16-bit PNG; 1 for EXR.
         measured: share of the pixels that the sensor measured.
         kept: share that keeps the sensor's depth.
@@ -116,8 +114,6 @@ class FrameRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         empty: share without depth.
     """
 
-    color: str
-    depth: str
     unit: float
     measured: float
     kept: float
@@ -145,6 +141,10 @@ class FramePaths:
         return self.out / "depth" / f"{self.name}{'.exr' if self.exr else '.png'}"
 
     @property
+    def color(self) -> Path:
+        return self.out / "color" / f"{self.name}.png"
+
+    @property
     def confidence(self) -> Path:
         return self.out / "confidence" / f"{self.name}.png"
 
@@ -164,27 +164,21 @@ class FramePaths:
     def record(self) -> Path:
         return self.out / "frames" / f"{self.name}.json"
 
-    def finished(self, frame: FrameFiles) -> FrameRecord | None:
-        """The record of a frame that is done and whose images are still the same, or None."""
-        if not (self.record.is_file() and self.depth.is_file()):
-            return None
-        try:
-            record = read_document(self.record, FrameRecord)
-        except ToolkitError:
-            return None  # damaged: the frame is restored again
-        same = (record.color, record.depth) == digests(frame)
-        return record if same else None
+    def artefact(self, frame: FrameFiles) -> Artefact:
+        """What the files of a frame are made of; `RestoreSetup` is the same for all frames."""
+        images = {"colour image": frame.color, "depth image": frame.depth}
+        inputs = {name: digest_file(path) for name, path in images.items()}
+        if frame.undistortion is not None:
+            inputs["cameras of the undistortion"] = digest_of(
+                repr(frame.undistortion), versioned=False
+            )
+        return Artefact(self.out, f"frame {frame.name}", inputs)
 
 
 def paths_of(out: Path, frame: FrameFiles, depth_format: DepthFormat) -> FramePaths:
     """Where the files of a frame go."""
     exr = depth_format == "exr" or (depth_format == "same" and not frame.is_png)
     return FramePaths(out, frame.name, exr)
-
-
-def digests(frame: FrameFiles) -> tuple[str, str]:
-    """Hashes of the images of a frame."""
-    return digest_file(frame.color), digest_file(frame.depth)
 
 
 def write_frame(
@@ -200,7 +194,7 @@ def write_frame(
     Raises:
         ToolkitError: a file cannot be written.
     """
-    hashes = digests(frame)
+    artefact, written = paths.artefact(frame), [paths.depth, paths.changed]
     depth = restored.depth
     if paths.exr:
         unit = 1.0
@@ -215,15 +209,20 @@ def write_frame(
         changed = numbers != np.rint(sensor / unit)
     write_png(paths.changed, changed.astype(np.uint8) * np.uint8(255))
     if restored.confidence is not None:
+        written.append(paths.confidence)
         write_png(paths.confidence, np.rint(255 * restored.confidence).astype(np.uint8))
+    if frame.undistortion is not None:
+        written.append(paths.color)
+        write_color(paths.color, color)
     if setup.points:
+        written.append(paths.points)
         write_bytes_atomic(paths.points, point_cloud(color, depth, frame.camera))
     if setup.pictures:
+        written.append(paths.picture)
         write_color(paths.picture, restored_strip(color, sensor, depth, restored.confidence))
     there = sensor > 0
     record = FrameRecord(
-        color=hashes[0],
-        depth=hashes[1],
+        **msgspec.structs.asdict(artefact.record(written)),
         unit=unit,
         measured=_share(there),
         kept=_share(there & ~changed),
@@ -233,6 +232,17 @@ def write_frame(
     )
     write_document(paths.record, record)
     return record
+
+
+def write_intrinsics(path: Path, camera: Camera) -> None:
+    """Write a camera as `--intrinsics` reads it.
+
+    Raises:
+        ToolkitError: the file cannot be written.
+    """
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    values = {name: getattr(camera, name) for name in names}
+    write_document(path, {**values, "distortion": list(camera.distortion)})
 
 
 def point_cloud(color: NDArray[np.uint8], depth: NDArray[np.float32], camera: Camera) -> bytes:

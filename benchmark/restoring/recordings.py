@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.undistortion import Undistortion
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, check_unit, read_foreign_depth
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import IMPORTERS, Recording, SourceFile, detect_format
-from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics
+from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
 from std_toolkit.importers.ros_importer import is_ros_recording
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
@@ -42,6 +43,7 @@ class FrameFiles:
         camera: intrinsics at the size of `depth`.
         scale: metres per unit of a 16-bit depth image.
         correction: factor of the depth, from a calibration.
+        undistortion: of both images to `camera`, if they are recorded through another lens.
     """
 
     name: str
@@ -51,6 +53,7 @@ class FrameFiles:
     scale: float | None
     correction: float = 1.0
     resize: bool = False
+    undistortion: Undistortion | None = None
 
     def read(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Read (h, w, 3) RGB and (h, w) metres, 0 where the sensor measured nothing.
@@ -63,6 +66,9 @@ class FrameFiles:
         if self.resize and (color.shape[1], color.shape[0]) != size:
             color = cv2.resize(color, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
         depth = read_foreign_depth(self.depth, size=size).values.astype(np.float32)
+        if self.undistortion is not None:
+            color = self.undistortion.image(color)  # type: ignore[assignment]
+            depth = self.undistortion.depth(depth)  # type: ignore[assignment]
         return color, depth * np.float32(self.unit)
 
     @property
@@ -104,7 +110,7 @@ def open_recordings(
         ToolkitError: a recording is missing, incomplete or has no depth, or two have one name.
     """
     if not sources:
-        found = [_images(images)]
+        found = [_undistorted(_images(images), images.undistort_fov)]
     elif (images.color or images.depth) and not all(map(is_ros_recording, sources)):
         raise ToolkitError(
             "give either SOURCES or --color and --depth", field="--color", hint="not both"
@@ -127,7 +133,11 @@ def _recording(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
     if not source.exists():
         raise ToolkitError("no such file or folder", path=source)
     if is_ros_recording(source):
-        return _of_scene(_imported(source, images, out), source)
+        return _of_scene(_imported(source, images, out), source)  # undistorted by the import
+    return _undistorted(_folder_or_file(source, images, out), images.undistort_fov)
+
+
+def _folder_or_file(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
     if source.is_file() and source.suffix.lower() in _OF_LIBREALSENSE:
         return _of_scene(_unpacked(source, out), source)
     if source.is_file():
@@ -186,9 +196,7 @@ def _pair(color: Path, depth: Path, images: ImageOptions) -> FrameFiles:
             hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
         )
     size = image_size(color)
-    intrinsics = read_intrinsics(images.intrinsics, size=size)
-    if images.distortion is not None:
-        intrinsics = replace(intrinsics, distortion=parse_distortion(images.distortion))
+    intrinsics = with_distortion(read_intrinsics(images.intrinsics, size=size), images.distortion)
     return FrameFiles(
         safe_name(color.stem),
         color,
@@ -199,9 +207,29 @@ def _pair(color: Path, depth: Path, images: ImageOptions) -> FrameFiles:
     )
 
 
-def _files(recording: Recording, name: str, source: str) -> RecordingFiles:
-    cameras = {key: model.camera() for key, model in recording.cameras.items()}
+def _undistorted(recording: RecordingFiles, fov_deg: float | None) -> RecordingFiles:
+    """The recording with the undistortion that each camera needs; see `Undistortion.of`.
 
+    Raises:
+        ToolkitError: no such pinhole, or several cameras that need it.
+    """
+    found = {f.camera: Undistortion.of(f.camera, fov_deg) for f in recording.frames}
+    needed = [undistortion for undistortion in found.values() if undistortion is not None]
+    if not needed:
+        return recording
+    if len(found) > 1:
+        raise ToolkitError(
+            "images of several cameras with distortion cannot be undistorted in one folder",
+            path=recording.source,
+            value=[f"{u.recorded.width}x{u.recorded.height}" for u in needed],
+            hint="restore the images of each camera as a recording of its own",
+        )
+    logger.info("%s: %s", recording.source, needed[0])
+    frames = (replace(f, camera=needed[0].camera, undistortion=needed[0]) for f in recording.frames)
+    return replace(recording, frames=tuple(frames))
+
+
+def _files(recording: Recording, name: str, source: str) -> RecordingFiles:
     def frame(title: str, color: SourceFile, depth: SourceFile, camera: Camera) -> FrameFiles:
         scale, correction = depth.depth_scale, recording.depth_correction
         return FrameFiles(
@@ -212,7 +240,7 @@ def _files(recording: Recording, name: str, source: str) -> RecordingFiles:
         name,
         source,
         tuple(
-            frame(f.name, f.color, f.depth, cameras[f.camera])
+            frame(f.name, f.color, f.depth, recording.cameras[f.camera])
             for f in recording.frames
             if f.depth is not None
         ),
@@ -247,7 +275,8 @@ def _of_scene(root: Path, source: Path) -> RecordingFiles:
 
 def _imported(source: Path, images: ImageOptions, out: Path) -> Path:
     """The scene that `std-curate import` makes of a recording of ROS; made once."""
-    scene = out / "recordings" / safe_name(source.stem)
+    view = "" if images.undistort_fov is None else f"-fov{images.undistort_fov:g}"
+    scene = out / "recordings" / safe_name(source.stem + view)
     if not (scene / "scene.json").is_file():
         request = ImportRequest(source=source, name=scene.name, **vars(images))
         import_recording(request, scene, format_name="ros")

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmark.evaluation.manifest import begin
 from benchmark.published.citations import write_citations
 from benchmark.restoring.options import RestoreOptions
 from benchmark.restoring.outputs import (
@@ -20,13 +19,20 @@ from benchmark.restoring.outputs import (
     record_of,
     setup_of,
     write_frame,
+    write_intrinsics,
 )
-from benchmark.restoring.recordings import FrameFiles, RecordingFiles, open_recordings
+from benchmark.restoring.recordings import (
+    INTRINSICS,
+    FrameFiles,
+    RecordingFiles,
+    open_recordings,
+)
 from benchmark.restoring.restorer import Restorer
 from benchmark.restoring.video import write_video
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.jobs import run_jobs
+from std_toolkit.jobs.artefact import begin
 
 # Every process holds a network; more than this many gain little beside the disk.
 _MOST_WORKERS = 8
@@ -135,7 +141,7 @@ def restore_item(item: Item, *, choice: tuple[Any, ...], setup: RestoreSetup) ->
         ToolkitError: its images cannot be read, or the method fails.
     """
     paths = paths_of(item.out, item.frame, setup.depth_format)
-    if (record := paths.finished(item.frame)) is not None:
+    if (record := paths.artefact(item.frame).find(paths.record, FrameRecord)) is not None:
         return record
     color, sensor = item.frame.read()
     restored = _restorer(choice).restore_view(color, sensor, item.frame.camera)
@@ -184,5 +190,14 @@ def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: Exi
     except OSError as error:
         raise ToolkitError(f"cannot make the folder: {error.strerror}", path=out) from error
     locks.enter_context(hold_lock(out, "lock", doing="writing to"))
-    begin(out, record, RECORD, beside=("recordings",))
+    begin(
+        out / RECORD,
+        record,
+        within=["setup"],
+        what="these results were",
+        hint="choose another --out",
+        beside=("recordings",),
+    )
+    if recording.frames[0].undistortion is not None:
+        write_intrinsics(out / INTRINSICS, recording.frames[0].camera)
     sweep_temporaries(out)

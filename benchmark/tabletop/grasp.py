@@ -9,6 +9,7 @@ limited force.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from benchmark.tabletop.trial import (
 from sensors.physics import PhysicalObject
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 FINGERS = ("finger-", "finger+")
 
@@ -54,8 +56,13 @@ Array = NDArray[np.float64]
 
 _CLOSE_S = 0.6
 
-# Fingers closer than this hold no object.
-_SHUT_M = 0.0015
+
+@dataclass(frozen=True, kw_only=True)
+class JawSettings(Settings):
+    """When a jaw holds an object."""
+
+    shut_m: float = limit(0.0015, unit="m", source=NOT_RECORDED)
+    """fingers closer than this hold no object"""
 
 
 def add_hand(spec: Any, gripper: Gripper, R: Array) -> None:
@@ -150,8 +157,9 @@ class JawTrial(Trial):
         gripper: Gripper,
         guarded: bool = True,
     ) -> None:
+        limits = JawSettings.current()
         self._gripper, self._guarded = gripper, guarded
-        self._width = float(np.clip(grasp.widths[0], 2 * _SHUT_M, gripper.max_width))
+        self._width = float(np.clip(grasp.widths[0], 2 * limits.shut_m, gripper.max_width))
         super().__init__(objects, poses, grasp, masses_kg)
 
     def add_tool(self, spec: Any) -> None:
@@ -177,7 +185,7 @@ class JawTrial(Trial):
         self._close()
         self._keep("closed")
         touched = tuple(sorted(i for i in self._touched_by_fingers() if i >= 0))
-        nothing = self.opening() < 2 * _SHUT_M or not touched
+        nothing = self.opening() < 2 * JawSettings.current().shut_m or not touched
         self._move(self.tip + np.array([0, 0, LIFT_M]), LIFT_M_S)
         self._wait(HOLD_S)
         self._keep("lifted")

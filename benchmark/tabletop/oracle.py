@@ -15,6 +15,7 @@ from benchmark.metrics.grasp.grasp import Grasps
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
 from sensors.physics import PhysicalObject
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -24,10 +25,18 @@ _TURNS, _TILTS = 12, (0.0, 0.35)
 _TRIED = 50
 # Clearance between object and open finger on each side.
 _ROOM_M = 0.008
-_TABLE_ROOM_M = 0.004
 # Cosine of the largest angle between the closing direction and the normal at a contact.
-_SQUARE = 0.9
 _DEPTHS_M = (0.035, 0.02, 0.01)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OracleSettings(Settings):
+    """Grasps that the planner with true surfaces accepts."""
+
+    table_room_m: float = limit(0.004, unit="m", source=NOT_RECORDED)
+    """smallest distance of the open fingers from the table"""
+    square: float = limit(0.9, source=NOT_RECORDED)
+    """smallest cosine between the closing direction and the normal at a contact"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +103,7 @@ def _at(
     gripper: Gripper, tilt: float,
 ) -> Grasps | None:  # fmt: skip
     """The grasp that closes on the surface at point k, or None. All in the axes of R."""
+    limits = OracleSettings.current()
     y, z = mine[k, 1:]
     near = np.abs(mine[:, 2] - z) < gripper.finger_height / 2
     column = near & (np.abs(mine[:, 1] - y) < gripper.max_width / 2)
@@ -115,7 +125,7 @@ def _at(
         square = min(-float(normals[left, 1].mean()), float(normals[right, 1].mean()))
         at = np.array([tip, middle, z])
         lowest = float((R @ at)[2]) - 0.5 * gripper.finger_height * np.sin(tilt)
-        if square < _SQUARE or lowest < _TABLE_ROOM_M:
+        if square < limits.square or lowest < limits.table_room_m:
             continue
         boxes = gripper.boxes([width], [0.0])
         local = others - at

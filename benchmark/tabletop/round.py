@@ -19,20 +19,34 @@ from benchmark.tabletop.sense import Observation, TableCamera
 from benchmark.tabletop.trial import APPROACH_M, Execution
 from sensors.physics.rigid_bodies import World, come_to_rest
 from std_toolkit.geometry import SE3, Camera, rotation_angle
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
 MOST_ATTEMPTS = 10
 NO_GRASP = "no-grasp"
-# Consecutive views without any grasp that end a round.
-_BLIND_VIEWS = 3
-# An arm does not approach from below: largest angle between approach and straight down.
-_STEEPEST = np.deg2rad(80.0)
-# A grasp this close to one that failed in this round is tried after all others.
-_SAME_M, _SAME_RAD = 0.012, np.deg2rad(25.0)
 # Clearance of the gripper above the table.
-_BELOW_M = 0.002
 _LONGEST_REST_S = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundSettings(Settings):
+    """Grasps that are tried, and when a round ends."""
+
+    blind_views: int = limit(3, source=NOT_RECORDED)
+    """consecutive views without any grasp that end a round"""
+    steepest: float = limit(
+        np.deg2rad(80.0),
+        unit="rad",
+        source="an arm does not approach from below",
+    )
+    """largest angle between approach and straight down"""
+    same_m: float = limit(0.012, unit="m", source=NOT_RECORDED)
+    """a grasp this close to one that failed is tried after all others"""
+    same_rad: float = limit(np.deg2rad(25.0), unit="rad", source=NOT_RECORDED)
+    """the same for its orientation"""
+    below_m: float = limit(0.002, unit="m", source=NOT_RECORDED)
+    """how far below the table the gripper may reach"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +114,10 @@ class _Memory:
     failed: list[tuple[Array, Array]] = field(default_factory=list)
 
     def knows(self, tip: Array, R: Array) -> bool:
+        limits = RoundSettings.current()
         return any(
-            np.linalg.norm(tip - t) < _SAME_M and _turn(R, Q) < _SAME_RAD for t, Q in self.failed
+            np.linalg.norm(tip - t) < limits.same_m and _turn(R, Q) < limits.same_rad
+            for t, Q in self.failed
         )
 
 
@@ -131,7 +147,7 @@ def clear_table(
     state = State(arrangement.objects, arrangement.poses)
     memory, blind = _Memory(), 0
     for number in range(attempts):
-        if not state.objects or blind == _BLIND_VIEWS:
+        if not state.objects or blind == RoundSettings.current().blind_views:
             return
         observation = camera.observe(state.objects, state.poses, number, color=color)
         given = restore(observation)
@@ -175,13 +191,14 @@ def choose(grasps: Grasps, memory: _Memory, gripper: Gripper | SuctionCup) -> Gr
 
 def reachable(grasps: Grasps, gripper: Gripper | SuctionCup) -> NDArray[np.bool_]:
     """Return the (N,) mask of grasps in the world frame from above and without table contact."""
+    limits = RoundSettings.current()
     if not len(grasps):
         return np.zeros(0, bool)
-    steep = grasps.approaches[:, 2] < -np.cos(_STEEPEST)
+    steep = grasps.approaches[:, 2] < -np.cos(limits.steepest)
     boxes = gripper.boxes(np.minimum(grasps.widths, gripper.max_width), grasps.depths)
     up = grasps.rotations[:, 2]  # z component of each gripper axis
     lowest = np.minimum(boxes.low * up[:, None], boxes.high * up[:, None]).sum(axis=2).min(axis=1)
-    return steep & (lowest + grasps.translations[:, 2] > -_BELOW_M)
+    return steep & (lowest + grasps.translations[:, 2] > -limits.below_m)
 
 
 def _after(state: State, executed: Execution) -> tuple[State, tuple[int, ...]]:

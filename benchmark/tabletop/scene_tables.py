@@ -21,16 +21,22 @@ from sensors.physics import PhysicalObject, convex_parts, settle_from
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.io.documents import digest_file
 from std_toolkit.labels.support.plane import TablePlane
 from std_toolkit.labels.support.table import search_table
 from std_toolkit.log import logger
-from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.scene import Scene
-
-# An object that moves further until it is at rest stood on something that has no label.
-_FELL_M = 0.03
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _DOCUMENTS = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneTableSettings(Settings):
+    """Labelled objects that stand on a table."""
+
+    fell_m: float = limit(0.03, unit="m", source=NOT_RECORDED)
+    """an object that moves further until it is at rest stood on something without a label"""
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,7 @@ class SceneTables:
         _check_on_table(scene, objects, start)
         poses = settle_from([o.body for o in objects], start)
         for o, a, b in zip(objects, start, poses, strict=True):
-            if (moved := float(np.linalg.norm(a.t - b.t))) > _FELL_M:
+            if (moved := float(np.linalg.norm(a.t - b.t))) > SceneTableSettings.current().fell_m:
                 logger.warning(
                     "%s: %s moved by %.0f mm until it was at rest",
                     scene.root,
@@ -155,7 +161,7 @@ def _check_on_table(scene: Scene, objects: list[TableObject], poses: list[SE3]) 
                 path=scene.root,
             )
         low = min(float((T @ (part * o.body.diagonal_m))[:, 2].min()) for part in o.body.parts)
-        if low < -_FELL_M:
+        if low < -SceneTableSettings.current().fell_m:
             raise ToolkitError(
                 f"the {o.label} is {-1000 * low:.0f} mm below the table",
                 path=scene.root,

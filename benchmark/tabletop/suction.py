@@ -8,6 +8,7 @@ torque between them is more than it holds.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,12 +32,18 @@ from benchmark.tabletop.trial import (
 from sensors.physics import PhysicalObject
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # How far beyond its tip a grasp looks for the surface.
 SEARCH_M = 0.02
 
-# Steps of control in a row, 10 ms each, of overload before the lip lets go.
-_OVERLOADED = 3
+
+@dataclass(frozen=True, kw_only=True)
+class SuctionSettings(Settings):
+    """When a suction cup lets go."""
+
+    overloaded: int = limit(3, source=NOT_RECORDED)
+    """steps of control in a row, 10 ms each, of overload"""
 
 
 def add_cup(spec: Any, cup: SuctionCup, R: Array, objects: int) -> None:
@@ -153,7 +160,7 @@ class SuctionTrial(Trial):
         for _ in range(0, count, 5):
             super()._step(min(5, count))
             self._overload = 0 if self._cup.holds(*self.load()) else self._overload + 1
-            if self._overload >= _OVERLOADED:
+            if self._overload >= SuctionSettings.current().overloaded:
                 self.data.eq_active[self.model.equality(f"seal{self._sealed}").id] = 0
                 self._sealed = None
                 super()._step(count)

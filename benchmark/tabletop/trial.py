@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from benchmark.metrics.grasp.grasp import Grasps
 from sensors.physics.rigid_bodies import TIMESTEP_S, PhysicalObject, objects_on_floor
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 CARRIAGE, HAND = "carriage", "hand"
 
@@ -31,7 +32,7 @@ PAD_FRICTION = (0.8, 0.005, 0.0001)
 PUSH_N = 40.0
 
 # A guarded move stops at this force of contact, and backs off by this way.
-TOUCH_N, BACK_OFF_M = 8.0, 0.006
+BACK_OFF_M = 0.006
 
 # Servo of the carriage: N/m and N s/m, critically damped for hand and armature together.
 _STIFFNESS, _ARMATURE_KG = 20_000.0, 0.5
@@ -49,16 +50,22 @@ APPROACH_M_S, LIFT_M_S = 0.12, 0.25
 
 HOLD_S = 1.0
 
-# A carriage with this lag is blocked by an obstacle.
-_LAG_M = 0.004
-
-# Smallest overlap of the tool in the pre-grasp that counts as contact.
-_TOUCH_M = 0.001
-
-# An object counts as held if all of it is at least this high above the table.
-HELD_M = 0.10
 
 CONTROL_STEPS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialSettings(Settings):
+    """When a tool is blocked, and when an object is held."""
+
+    touch_n: float = limit(8.0, unit="N", source=NOT_RECORDED)
+    """a guarded move stops at this force of contact"""
+    lag_m: float = limit(0.004, unit="m", source=NOT_RECORDED)
+    """a carriage with this lag is blocked by an obstacle"""
+    touch_m: float = limit(0.001, unit="m", source=NOT_RECORDED)
+    """smallest overlap of the tool in the pre-grasp that counts as contact"""
+    held_m: float = limit(0.10, unit="m", source=NOT_RECORDED)
+    """an object counts as held if all of it is at least this high above the table"""
 
 
 def add_carriage(spec: Any, R: Array) -> Any:
@@ -207,7 +214,7 @@ class Trial:
 
     def _hits_at_start(self) -> str:
         """Outcome of a tool that is in something before it moves, or ""."""
-        start = self._met(deeper=_TOUCH_M)
+        start = self._met(deeper=TrialSettings.current().touch_m)
         if not start:
             return ""
         return "start-hits-table" if -1 in start else "start-hits-object"
@@ -221,7 +228,8 @@ class Trial:
         self._pushed = max((float(np.linalg.norm(b.t - a.t)) for a, b in pairs), default=0.0)
 
     def _held(self) -> tuple[int, ...]:
-        return tuple(i for i, low in enumerate(self._lowest()) if low > HELD_M)
+        limits = TrialSettings.current()
+        return tuple(i for i, low in enumerate(self._lowest()) if low > limits.held_m)
 
     def _ended(
         self, outcome: str, held: tuple[int, ...] = (), touched: tuple[int, ...] = ()
@@ -235,6 +243,7 @@ class Trial:
 
         A guarded move is also blocked by a light touch.
         """
+        limits = TrialSettings.current()
         begin = self.data.ctrl[:3].copy()
         # The maximum speed of this smooth motion is 15/8 of its mean.
         seconds = 15 / 8 * float(np.linalg.norm(target - begin)) / speed
@@ -243,11 +252,13 @@ class Trial:
             s = k / steps
             self.data.ctrl[:3] = begin + (target - begin) * s**3 * (10 - 15 * s + 6 * s**2)
             self._advance()
-            if stops and (self._lag() > _LAG_M or (guarded and self._pressed() > TOUCH_N)):
+            if stops and (
+                self._lag() > limits.lag_m or (guarded and self._pressed() > limits.touch_n)
+            ):
                 self.data.ctrl[:3] = self.data.qpos[self._carriage]
                 return False
         self._step(50)
-        return not (stops and self._lag() > _LAG_M)
+        return not (stops and self._lag() > limits.lag_m)
 
     def _back_off(self) -> None:
         """Move back along the approach, until nothing presses."""

@@ -10,14 +10,14 @@ from typing import Any
 
 from torch import nn
 
-from benchmark.methods.registry import configured, preset_of
+from benchmark.methods.registry import preset_of
 from benchmark.methods.weights import load_weights
 from benchmark.training.config import Optimization
 from benchmark.training.packed_frames import fitting_frames
 from benchmark.training.step import StepFunction, depth_step
 from benchmark.training.validation import DepthValidator, Validator
 from std_toolkit.errors import ToolkitError
-from std_toolkit.plugins import Registry
+from std_toolkit.plugins import Registry, configured
 
 
 @dataclass(frozen=True, kw_only=True)

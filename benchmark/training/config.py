@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import nn
@@ -14,7 +14,7 @@ from torch import nn
 from benchmark.training.options import NormKind, Precision
 from benchmark.training.step import StepInfo
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import begin_folder
+from std_toolkit.jobs import artefact
 
 # A warm-up that was published for 60,000 steps must not fill a short training.
 _LONGEST_WARMUP = 0.1
@@ -183,33 +183,8 @@ def begin(folder: Path, config: TrainConfig) -> None:
     Raises:
         ToolkitError: another training was begun there; lists all differences.
     """
-    path = folder / CONFIG
-    begun = flat(begin_folder(path, config, hint="choose another --out"))
-    now = flat(config)
-    differing = [name for name in {**begun, **now} if begun.get(name) != now.get(name)]
-    if differing:
-        differences = "; ".join(
-            f"{n}: {begun.get(n)!r} then, {now.get(n)!r} now" for n in differing
-        )
-        raise ToolkitError(
-            f"the training there was begun with another configuration: {differences}",
-            path=path,
-            hint="give the same options to go on, or another --out",
-        )
-
-
-def flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    """Fields of nested dataclasses and mappings by their paths."""
-    if is_dataclass(value) and not isinstance(value, type):
-        items = {f.name: getattr(value, f.name) for f in fields(value)}
-    elif isinstance(value, Mapping):
-        items = dict(value)
-    else:
-        return {prefix: list(value) if isinstance(value, tuple) else value}
-    found: dict[str, Any] = {}
-    for name, item in items.items():
-        found |= flat(item, f"{prefix}.{name}" if prefix else name)
-    return found
+    hint = "give the same options to go on, or another --out"
+    artefact.begin(folder / CONFIG, config, what="this training was", hint=hint)
 
 
 def seed_of(*numbers: int) -> int:

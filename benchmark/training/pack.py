@@ -16,8 +16,9 @@ from benchmark.training import shards
 from benchmark.training.options import PackOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
-from std_toolkit.io.documents import begin_folder, read_document, write_document
+from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.artefact import begin
 from std_toolkit.jobs.options import error_of
 
 _WAYS = {"cubic": cv2.INTER_CUBIC, "area": cv2.INTER_AREA}
@@ -59,7 +60,7 @@ def pack_split(
     )
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into", what="folder"):
-        _begin(folder, setup)
+        begin(folder / shards.PACK, setup, what="this pack was", hint="choose another folder")
         sweep_temporaries(folder)
         left = [number for number in range(setup.shards) if not _is_whole(folder, number)]
         report = run_jobs(
@@ -106,20 +107,6 @@ def record_of(frame: DepthFrame, setup: shards.PackSetup) -> np.ndarray:
             classes[instance.mask_id] = instance.class_id
         record["classes"] = classes
     return record
-
-
-def _begin(folder: Path, setup: shards.PackSetup) -> None:
-    path = folder / shards.PACK
-    begun = begin_folder(path, setup, hint="choose another one")
-    for name in shards.PackSetup.__struct_fields__:
-        if getattr(begun, name) != getattr(setup, name):
-            raise ToolkitError(
-                f"this pack was begun with {getattr(begun, name)!r}",
-                path=path,
-                field=name,
-                value=getattr(setup, name),
-                hint="choose another folder",
-            )
 
 
 def _is_whole(folder: Path, number: int) -> bool:

@@ -10,7 +10,7 @@ from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import Optimization, TrainConfig
 from benchmark.training.options import TrainOptions
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scene.document import digest_file
+from std_toolkit.io.documents import digest_file
 
 # Of a training of few steps, so that killing it never costs more than a part of it.
 _CHECKPOINTS = 20

@@ -191,7 +191,7 @@ class AtomicCheckpoints(CheckpointIO):
             raise ToolkitError(
                 f"not a checkpoint of std-train: {error}",
                 path=Path(path),
-                hint="delete it to begin this training anew",
+                hint="delete it to restart this training",
             ) from error
 
     def remove_checkpoint(self, path: str | os.PathLike[str]) -> None:

@@ -16,13 +16,13 @@ from torch import Tensor, nn
 from benchmark.data.frame import BACKGROUND, Material
 from benchmark.evaluation.depth_panels import strip
 from benchmark.metrics.depth.accumulate import DepthMetrics
+from benchmark.metrics.depth.figures import NAMES
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.step import Batch, made_of, network_depth
 from std_toolkit.io.images import write_color
 
 # Pixels that are compared, the most telling first: the score is of the first that there are.
 SUBSETS = ("specular_transparent", "objects", "all")
-SHOWN = ("rmse", "rel", "mae", "d105", "d110", "d125")
 _PICTURES = 6
 
 Context = Callable[[], AbstractContextManager[Any]]
@@ -57,7 +57,7 @@ class Validator(ABC):
 
     @abstractmethod
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        """Name and value of what networks are ranked by, the less the better."""
+        """Name and value of what networks are ranked by; lower is better."""
 
     @abstractmethod
     def pictures(
@@ -156,12 +156,12 @@ def scores_of(states: np.ndarray) -> dict[str, float]:
         metrics = DepthMetrics()
         metrics.merge_state(state)
         means = metrics.compute()
-        found |= {f"{name}_{metric}": means[metric] for metric in SHOWN}
+        found |= {f"{name}_{metric}": means[metric] for metric in NAMES}
     return found
 
 
 def main_score(scores: dict[str, float]) -> tuple[str, float]:
-    """Name and value of what networks are ranked by: RMSE in metres, the less the better."""
+    """Name and value of what networks are ranked by: RMSE in metres; lower is better."""
     for name in SUBSETS:
         value = scores[f"{name}_rmse"]
         if not math.isnan(value):

@@ -5,16 +5,18 @@ Simulated images only: the real captures that docs/simulation.md compares with m
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from perf.trial import TrialView, render_view, tiles, vessels
 from sensors.materials.material_library import MaterialClass
 from sensors.render.mitsuba_renderer import MitsubaRenderer
 from sensors.render.sim_renderer import DRAFT_INFRARED
-from sensors.simulation.trial import TrialView, render_view, tiles, vessels
 from sensors.specs import load_sensor
 from std_toolkit.io.images import write_color
 

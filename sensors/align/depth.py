@@ -11,9 +11,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.compiled import compiled
+from std_toolkit.compiled import compiled
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, largest_radius2
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.camera_models import largest_radius2
 from std_toolkit.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
@@ -32,8 +33,6 @@ def align_depth(
     camera: Camera,
     other: Camera,
     T_other_depth: SE3,
-    *,
-    surface_step: float = SURFACE_STEP,
 ) -> NDArray[np.float32]:
     """z-depth (H', W') float32 metres in `other`, 0 = none, of a depth image of `camera`.
 
@@ -47,7 +46,6 @@ def align_depth(
         camera: intrinsics of the depth image.
         other: the target camera, such as the colour camera; it may have distortion.
         T_other_depth: maps points of the depth camera into the other one.
-        surface_step: neighbours whose depths differ by a smaller share are one surface.
 
     Raises:
         ToolkitError: the image size differs from the camera's, or the depth contains negative or
@@ -64,7 +62,7 @@ def align_depth(
         raise ToolkitError("depth holds negative or infinite values", field="depth")
     R, t = np.ascontiguousarray(T_other_depth.R), np.ascontiguousarray(T_other_depth.t)
     out = np.full((other.height, other.width), np.inf, dtype=np.float32)
-    splat(z, _patch_rays(camera), R, t, _lens(other), surface_step, out)
+    splat(z, _patch_rays(camera), R, t, _lens(other), SURFACE_STEP, out)
     out[np.isinf(out)] = 0
     return out
 
@@ -86,8 +84,7 @@ def _patch_rays(camera: Camera) -> tuple[Array, ...]:
             rays = camera.unproject(np.stack(np.meshgrid(across, down), axis=-1))
             arrays += [np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])]
         else:
-            x = (across - camera.cx) / camera.fx
-            y = (down - camera.cy) / camera.fy
+            x, y = camera.pinhole_rays(across, down)
             arrays += [np.broadcast_to(x, shape), np.broadcast_to(y[:, None], shape)]
     return tuple(arrays)
 
@@ -95,7 +92,7 @@ def _patch_rays(camera: Camera) -> tuple[Array, ...]:
 @lru_cache(maxsize=16)
 def _lens(camera: Camera) -> Array:
     """Intrinsics in the form that `splat` takes."""
-    k = (*camera.distortion, *([0.0] * (8 - len(camera.distortion))))
+    k = camera.opencv_distortion
     reach = largest_radius2(camera.distortion) if camera.is_distorted else np.inf
     bent = float(camera.is_distorted)
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *k, reach, bent])

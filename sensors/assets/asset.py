@@ -162,6 +162,19 @@ def welded(
     return places, corners[kept], kept
 
 
+def surface_points(vertices: Array, faces: NDArray[np.integer], count: int) -> Array:
+    """(count, 3) points spread evenly over a surface, always the same; none without area."""
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    if not area.sum() > 0:
+        return np.zeros((0, 3))
+    rng = np.random.default_rng(0)
+    face = rng.choice(len(faces), count, p=area / area.sum())
+    a, b = np.sort(rng.random((2, count)), axis=0)
+    return np.einsum("nk,nkd->nd", np.stack([a, b - a, 1 - b], axis=1), corners[face])
+
+
 def _bounds(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, Array]:
     used = vertices[np.unique(faces)]
     return used.min(axis=0), used.max(axis=0)

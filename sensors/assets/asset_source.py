@@ -106,7 +106,7 @@ def open_source(name: str, options: SourceOptions | None = None) -> AssetSource:
     return ASSET_SOURCES.get(name)(options or SourceOptions())
 
 
-def in_split(instance: str, split: Split, *, test_share: float = 0.2) -> bool:
+def in_split(instance: str, split: Split) -> bool:
     """Whether an instance of a file collection belongs to a split, by its name alone.
 
     The split of a name does not change when files are added or removed. One in five is in test.
@@ -116,7 +116,7 @@ def in_split(instance: str, split: Split, *, test_share: float = 0.2) -> bool:
     if split == "all":
         return True
     number = int.from_bytes(hashlib.sha256(instance.encode()).digest()[:8], "big")
-    return (number < test_share * 2**64) == (split == "test")
+    return (number < 0.2 * 2**64) == (split == "test")
 
 
 class ScaleTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

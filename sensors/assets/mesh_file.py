@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.asset import NO_SYMMETRY, TURN_Y, Asset, canonical_frame, welded
+from sensors.assets import asset
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M, check_mesh_size
 from std_toolkit.geometry.ray_caster import RayCaster
@@ -25,7 +25,9 @@ _PLAIN = (180, 180, 180)
 
 _SAMPLES = 2000
 
-# A faceted cylinder of 16 sides deviates from the round one by 2 % of its radius.
+# Largest distance between a rotated surface and the original, as a fraction of the diagonal; one
+# point in a hundred may be further away. A faceted cylinder of 16 sides deviates from the round one
+# by 2 % of its radius.
 _TOLERANCE = 0.012
 
 
@@ -46,7 +48,7 @@ def read_asset(
     unit: str | None = None,
     symmetry: Symmetry | None = None,
     up: str = "y",
-) -> Asset:
+) -> asset.Asset:
     """Read a mesh file as an asset.
 
     A surface that is not closed is used, with a warning: its volume is not defined.
@@ -76,7 +78,7 @@ def read_asset(
     if up == "z":
         vertices = vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
     try:
-        canonical, diagonal = canonical_frame(vertices, faces)
+        canonical, diagonal = asset.canonical_frame(vertices, faces)
     except ToolkitError as error:
         raise ToolkitError(error.problem, path=path, field=error.field) from error
     diagonal_m = None
@@ -85,11 +87,11 @@ def read_asset(
         check_mesh_size(trimesh.Trimesh(canonical * diagonal_m, faces, process=False), path=path)
     look = _surface_colors(parts)
     # Vertices duplicated at texture seams are one point of the surface.
-    places, corners, kept = welded(canonical, faces)
+    places, corners, kept = asset.welded(canonical, faces)
     mesh = trimesh.Trimesh(places, corners, process=False)
     if not mesh.is_watertight:
         logger.warning("%s: the surface is not closed; its volume is a guess", path)
-    return Asset(
+    return asset.Asset(
         id=asset_id,
         category=category,
         mesh=mesh,
@@ -185,32 +187,20 @@ def _colors(
 _ANGLES = tuple(2 * np.pi * x for x in (0.093, 0.269, 0.41))
 
 
-def turn_symmetry(
-    vertices: NDArray[np.floating], faces: NDArray[np.integer], *, tolerance: float = _TOLERANCE
-) -> Symmetry:
+def turn_symmetry(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Symmetry:
     """Full rotational symmetry about y, if the shape has it; colours are ignored.
 
     Args:
         vertices: (V, 3) canonical.
         faces: (F, 3).
-        tolerance: largest distance between the rotated surface and the original, as a fraction
-            of the diagonal; one point in a hundred may be further away.
     """
-    corners = np.asarray(vertices, dtype=np.float64)[faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    if not area.sum() > 0:
-        return NO_SYMMETRY
-    rng = np.random.default_rng(0)
-    face = rng.choice(len(faces), _SAMPLES, p=area / area.sum())
-    a, b = np.sort(rng.random((2, _SAMPLES)), axis=0)
-    weights = np.stack([a, b - a, 1 - b], axis=1)
-    points = np.einsum("nk,nkd->nd", weights, corners[face])
+    points = asset.surface_points(np.asarray(vertices, np.float64), faces, _SAMPLES)
+    if len(points) == 0:
+        return asset.NO_SYMMETRY
     caster = RayCaster(vertices, faces)
     for angle in _ANGLES:
         c, s = np.cos(angle), np.sin(angle)
         turned = points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
-        if np.quantile(caster.distance(turned), 0.99) > tolerance:
-            return NO_SYMMETRY
-    return TURN_Y
+        if np.quantile(caster.distance(turned), 0.99) > _TOLERANCE:
+            return asset.NO_SYMMETRY
+    return asset.TURN_Y

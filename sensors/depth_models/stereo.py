@@ -1,7 +1,15 @@
-"""Active stereo: a projector of dots, two infrared cameras and a stereo matcher."""
+"""Active stereo: a projector of dots, two infrared cameras and a stereo matcher.
+
+Real imagers, lenses and rectification are not perfect, so the disparity gets noise that simulated
+images and the matcher do not give. On the infrared pair of a real D415, the residuals of the local
+matcher in windows of 32 pixels, after a quadratic fit, have a median deviation of 0.047 px and
+correlations of 0.90, 0.76 and 0.46 at distances of 1, 2 and 4 pixels; the camera's own depth has
+0.054 px. On the simulated plane, shot and read noise give 0.018 to 0.028 px.
+"""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,12 +20,17 @@ from sensors.render import infrared_image, sim_scene
 from sensors.render.sim_renderer import LoadedScene, RenderOptions
 from sensors.specs import SensorSpec
 from sensors.stereo import disparity_to_depth, make_matcher
-from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs.options import usable_cores
 
 Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+# With the noise of the images, the simulated plane then has 0.040 to 0.046 px.
+NOISE_PX = 0.042
+
+# Spread of the Gaussian that correlates it: 0.95, 0.83 and 0.47 at 1, 2 and 4 pixels.
+SPREAD_PX = 2.3
 
 
 class ActiveStereo:
@@ -35,9 +48,12 @@ class ActiveStereo:
         size = (options.width, options.height)
         self.camera = sensor.infrared_camera(*size)
         low, high = sensor.disparity_range(*size)
-        # The released matcher has its own fixed search range.
-        own = {} if options.matcher == "dreds" else {"min_disparity": low, "max_disparity": high}
-        if options.matcher == "local":
+        own = {"min_disparity": low, "max_disparity": high}
+        if options.matcher == "dreds":  # the released matcher has its own fixed search range
+            own = {}
+        elif options.matcher == "sgbm":  # searches a multiple of 16
+            own = {"min_disparity": low, "disparities": -(-(high - low + 1) // 16) * 16}
+        elif options.matcher == "local":
             own["threads"] = options.threads or usable_cores()
         self._matcher = make_matcher(options.matcher, **own)
         self._sensor, self._noise = sensor, options.noise
@@ -114,3 +130,29 @@ def _picture(sensor: SensorSpec, options: DepthModelOptions) -> DotPattern | Non
         raise ToolkitError("this sensor has no projector", field="pattern", value=sensor.name)
     fov = options.pattern_fov_deg or sensor.projector.fov_deg[0]
     return load_pattern(options.pattern, fov_x_deg=fov)
+
+
+def with_noise(
+    disparity: NDArray[np.floating],
+    rng: np.random.Generator,
+    *,
+    noise_px: float = NOISE_PX,
+    spread_px: float = SPREAD_PX,
+) -> NDArray[np.float32]:
+    """Disparity with correlated Gaussian noise; pixels without a disparity keep none.
+
+    Args:
+        disparity: (H, W) pixels, 0 = none.
+        rng: consumed.
+        noise_px: standard deviation.
+        spread_px: spread of the Gaussian that white noise is smoothed with.
+
+    Returns:
+        (H, W) float32.
+    """
+    white = rng.standard_normal(disparity.shape, np.float32)
+    smooth = cv2.GaussianBlur(white, (0, 0), spread_px, borderType=cv2.BORDER_REFLECT)
+    # Smoothing divides the deviation of white noise by this.
+    lost = 2 * np.sqrt(np.pi) * spread_px
+    noisy = disparity + np.float32(noise_px * lost) * smooth
+    return np.where(disparity > 0, np.maximum(noisy, 1e-3), 0).astype(np.float32)

@@ -15,7 +15,8 @@ HEIGHT = 256
 
 Directions = NDArray[np.float32]
 
-STUDIOS = 100
+# Number of different procedural maps; the last quarter of them is for testing.
+STUDIOS, TRAIN_STUDIOS = 100, 76
 
 
 def studio_map(seed: int, *, height: int = HEIGHT) -> EnvironmentMap:
@@ -137,11 +138,6 @@ def _furniture(rng: np.random.Generator, d: Directions) -> Directions:
         half = (float(rng.uniform(0.05, 0.5)), float(rng.uniform(0.05, 0.4)))
         out += rng.uniform(-2.5, 2.0) * _rectangle(local, half, 0.01)
     return np.clip(out, -3, 3)
-
-
-"""Number of different procedural maps; the last quarter of them is for testing."""
-
-TRAIN_STUDIOS = 76
 
 
 @runtime_checkable

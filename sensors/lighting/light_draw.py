@@ -13,8 +13,9 @@ import numpy as np
 
 from sensors.lighting.environment import Split, files_of_split
 from sensors.materials.material_draw import DrawnMaterial, draw_material
-from sensors.materials.material_library import MaterialLibrary, load_library
+from sensors.materials.material_library import load_library
 
+# Strength of the environment in colour and in infrared (most of it filtered out) in DREDS.
 COLOR_STRENGTH = 0.5
 
 INFRARED_STRENGTH = 0.035
@@ -29,10 +30,8 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
 FLOOR_FAMILIES = ("wood", "fabric", "leather", "paper", "clay", "coarse_plastic", "porcelain")
 
+# Patterns are larger on a floor than on an object of the same material.
 TILE_FACTOR = (2.0, 6.0)
-
-
-"""Strength of the environment in colour and in infrared (most of it filtered out) in DREDS."""
 
 STRENGTH_FACTOR = (0.8, 1.2)
 
@@ -68,8 +67,6 @@ def draw_lighting(rng: np.random.Generator, environment: str) -> LightingDraw:
     )
 
 
-"""Patterns are larger on a floor than on an object of the same material."""
-
 IMAGE_TILE_M = (0.4, 1.5)
 
 
@@ -92,7 +89,6 @@ def draw_floor(
     *,
     folder: Path | str | None = None,
     split: Split = "train",
-    library: MaterialLibrary | None = None,
 ) -> FloorDraw:
     """Draw a floor.
 
@@ -101,18 +97,15 @@ def draw_floor(
         folder: images (.jpg, .png) to tile the floor with, split as environment maps are; without
             a folder, textures of the library are used.
         split: images to draw from.
-        library: materials; the built-in ones by default.
 
     Raises:
-        ToolkitError: the folder has no image for the split, or the library no suitable material.
+        ToolkitError: the folder has no image for the split.
     """
-    library = library or load_library()
+    library = load_library()
     names = [m.name for m in library.opaque if m.family in FLOOR_FAMILIES]
     name = names[int(rng.integers(len(names)))]
     family = next(m.family for m in library.opaque if m.name == name)
-    material = draw_material(
-        rng, library.families[family].material_class, name=name, library=library
-    )
+    material = draw_material(rng, library.families[family].material_class, name=name)
     texture = material.texture
     if texture is not None:
         texture = msgspec.structs.replace(

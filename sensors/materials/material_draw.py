@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from sensors.materials import material_library
@@ -235,18 +234,6 @@ def _color(
     return (r, g, b)
 
 
-def decode_material(data: bytes) -> DrawnMaterial:
-    """Decode a material from its JSON record (`msgspec.json.encode` writes it).
-
-    Raises:
-        ToolkitError: not such a record.
-    """
-    try:
-        return msgspec.json.decode(data, type=DrawnMaterial)
-    except msgspec.DecodeError as error:
-        raise ToolkitError(f"not a material record: {error}") from error
-
-
 class ClassChoice(material_library.Document, frozen=True, kw_only=True):
     """Probabilities of the material classes per object category.
 
@@ -278,17 +265,9 @@ class ClassChoice(material_library.Document, frozen=True, kw_only=True):
         return self.probabilities.get(category, self.probabilities[FALLBACK_CATEGORY])
 
 
-def load_class_choice(path: Path | str | None = None) -> ClassChoice:
-    """Read the built-in probabilities, or a user's file of the same form.
-
-    Raises:
-        ToolkitError: unreadable or inconsistent; names the file and the field.
-    """
-    return _built_in() if path is None else read_document(path, ClassChoice)
-
-
 @lru_cache(maxsize=1)
-def _built_in() -> ClassChoice:
+def load_class_choice() -> ClassChoice:
+    """The built-in probabilities."""
     return read_document(BUILT_IN, ClassChoice)
 
 
@@ -297,7 +276,6 @@ def draw_material_class(
     category: str,
     *,
     allowed: Collection[material_library.MaterialClass] = material_library.MATERIAL_CLASSES,
-    choice: ClassChoice | None = None,
 ) -> material_library.MaterialClass:
     """Draw the material class of an object; consumes one random number.
 
@@ -306,12 +284,11 @@ def draw_material_class(
         category: "bottle", ...; unknown ones count as "other".
         allowed: classes that an ablation leaves: `("raw",)` keeps the original materials; a set
             without "transparent" distributes its probability proportionally over the others.
-        choice: the built-in probabilities by default.
 
     Raises:
         ToolkitError: `allowed` is empty.
     """
-    row = (choice or load_class_choice()).row(category)
+    row = load_class_choice().row(category)
     names = [c for c in material_library.MATERIAL_CLASSES if c in allowed]
     if not names:
         raise ToolkitError("no material class is allowed", field="allowed", value=list(allowed))

@@ -123,13 +123,13 @@ def dreds_scene(
 
     Args:
         out: top of the data set.
-            scene: properties shared by all frames.
-            split: part of the data set that it belongs to.
-            novel: write DREDS-CatNovel, which is not split.
+        scene: properties shared by all frames.
+        split: part of the data set that it belongs to.
+        novel: write DREDS-CatNovel, which is not split.
 
-        Raises:
-            ToolkitError: the scene exists, exceeds the limits of the layout, a mesh of the same
-                name but another shape exists, or not every frame was written.
+    Raises:
+        ToolkitError: the scene exists, exceeds the limits of the layout, a mesh of the same
+            name but another shape exists, or not every frame was written.
     """
     if split not in SPLITS:
         raise ToolkitError("unknown split", field="split", value=split, hint=f"one of {SPLITS}")
@@ -203,7 +203,7 @@ def meta_text(
     *,
     short: bool = False,
 ) -> str:
-    """A line of 13 fields, each followed by a space, for every object in the view.
+    """A line of 13 fields, each followed by a space, for every object.
 
     In the short form there are three: mask id, class 0, material. In full: mask id, class, synset,
     instance, diagonal in metres, material, quaternion w x y z of the rotation from camera to
@@ -212,8 +212,6 @@ def meta_text(
     T_cam_world = frame.T_world_cam.inverse()
     lines = []
     for item in scene.objects:
-        if item.instance_id in frame.hidden:
-            continue
         if short:
             lines.append(f"{item.instance_id} 0 {MATERIAL_IDS[item.material_class]} \n")
             continue

@@ -79,16 +79,9 @@ class RecordingWriter:
         Depth beyond the range of 16 bits is dropped, as in a camera.
 
         Raises:
-            ToolkitError: the frame does not belong to the scene, objects were left out of it, or
-                the disk is full.
+            ToolkitError: the frame does not belong to the scene, or the disk is full.
         """
         self._received.accept(frame)
-        if frame.hidden:
-            raise ToolkitError(
-                "in a recording every object is in every frame",
-                field=f"frame {frame.index}: hidden",
-                value=frame.hidden,
-            )
         write_images(self._folder, frame, depth_scale=self._depth_scale)
 
     def finish(self) -> None:
@@ -102,7 +95,7 @@ class RecordingWriter:
         poses = [self._received.poses[i][0] for i in range(scene.frames)]
         documents.write_document(folder / "simulation.json", scene_record(self._received))
         write_truth(
-            folder, scene, self._received.label_camera, poses, depth_scale=self._depth_scale
+            folder, scene, self._received.cameras.label, poses, depth_scale=self._depth_scale
         )
 
 

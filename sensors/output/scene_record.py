@@ -5,7 +5,7 @@ A writer accepts the frames of one scene: each once, all of them, with the same 
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from sensors.output.simulated_frame import SimulatedFrame, SimulatedScene
 from std_toolkit import __version__
@@ -27,12 +27,11 @@ class ObjectRecord(model.Document, frozen=True, kw_only=True):
 
 
 class ViewRecord(model.Document, frozen=True, kw_only=True):
-    """A frame: poses of the colour and the left infrared camera, and the objects left out."""
+    """A frame: poses of the colour and the left infrared camera."""
 
     index: model.Count
     T_world_cam: model.Pose16
     T_world_ir: model.Pose16
-    hidden: list[model.ObjectId]
 
 
 class SceneRecord(model.Document, frozen=True, kw_only=True):
@@ -65,18 +64,18 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
 
 def scene_record(received: ReceivedFrames) -> SceneRecord:
     """The record of a scene after all its frames were accepted."""
-    scene, label = received.scene, received.label_camera
+    scene, cameras = received.scene, received.cameras
     return SceneRecord(
         version_of_tool=__version__,
         name=scene.name,
         seed=scene.seed,
         sensor=scene.sensor,
-        width=label.width,
-        height=label.height,
-        K=label.K.tolist(),
-        color_camera=model.CameraModel.of(received.color_camera),
-        infrared_camera=model.CameraModel.of(received.infrared_camera),
-        depth_camera=model.CameraModel.of(received.depth_camera),
+        width=cameras.label.width,
+        height=cameras.label.height,
+        K=cameras.label.K.tolist(),
+        color_camera=model.CameraModel.of(cameras.color),
+        infrared_camera=model.CameraModel.of(cameras.infrared),
+        depth_camera=model.CameraModel.of(cameras.depth),
         objects=[
             ObjectRecord(
                 instance_id=item.instance_id,
@@ -90,16 +89,20 @@ def scene_record(received: ReceivedFrames) -> SceneRecord:
             for item in scene.objects
         ],
         frames=[
-            ViewRecord(
-                index=i,
-                T_world_cam=poses[0].flat(),
-                T_world_ir=poses[1].flat(),
-                hidden=list(received.hidden[i]),
-            )
+            ViewRecord(index=i, T_world_cam=poses[0].flat(), T_world_ir=poses[1].flat())
             for i, poses in sorted(received.poses.items())
         ],
         parameters=dict(scene.parameters),
     )
+
+
+class FrameCameras(NamedTuple):
+    """Cameras that all frames of a scene share; see `SimulatedFrame`."""
+
+    color: Camera
+    label: Camera
+    infrared: Camera
+    depth: Camera
 
 
 class ReceivedFrames:
@@ -107,30 +110,19 @@ class ReceivedFrames:
 
     Attributes:
         poses: T_world_cam and T_world_ir by frame index.
-        hidden: instance ids left out, by frame index.
     """
 
     def __init__(self, scene: SimulatedScene) -> None:
         self.scene = scene
         self.poses: dict[int, tuple[SE3, SE3]] = {}
-        self.hidden: dict[int, tuple[int, ...]] = {}
-        self._cameras: tuple[Camera, Camera, Camera, Camera] | None = None
+        self._cameras: FrameCameras | None = None
 
     @property
-    def color_camera(self) -> Camera:
-        return self._known()[0]
-
-    @property
-    def label_camera(self) -> Camera:
-        return self._known()[1]
-
-    @property
-    def infrared_camera(self) -> Camera:
-        return self._known()[2]
-
-    @property
-    def depth_camera(self) -> Camera:
-        return self._known()[3]
+    def cameras(self) -> FrameCameras:
+        """The cameras of all frames; raises ToolkitError before the first one."""
+        if self._cameras is None:
+            raise ToolkitError("no frame was written yet", field=self.scene.name)
+        return self._cameras
 
     def accept(self, frame: SimulatedFrame) -> None:
         """Check a frame against the scene and the frames before it.
@@ -143,32 +135,18 @@ class ReceivedFrames:
             raise ToolkitError(f"the scene has {self.scene.frames} frames", field=where)
         if frame.index in self.poses:
             raise ToolkitError("the frame was written before", field=where)
-        known = {o.instance_id for o in self.scene.objects}
-        seen, hidden = set(frame.instances), set(frame.hidden)
-        for what, ids in (("mask", seen), ("hidden", hidden)):
-            if ids - known:
-                raise ToolkitError(
-                    "the scene has no such object",
-                    field=f"{where}: {what}",
-                    value=sorted(ids - known),
-                )
-        if hidden & seen:
+        unknown = set(frame.instances) - {o.instance_id for o in self.scene.objects}
+        if unknown:
             raise ToolkitError(
-                "an object that was left out is seen",
-                field=f"{where}: hidden",
-                value=sorted(hidden & seen),
+                "the scene has no such object", field=f"{where}: mask", value=sorted(unknown)
             )
-        cameras = (
-            frame.color_camera,
-            frame.label_camera,
-            frame.infrared_camera,
-            frame.depth_camera,
+        cameras = FrameCameras(
+            frame.color_camera, frame.label_camera, frame.infrared_camera, frame.depth_camera
         )
         if self._cameras not in (None, cameras):
             raise ToolkitError("the frames of a scene have the same cameras", field=where)
         self._cameras = cameras
         self.poses[frame.index] = (frame.T_world_cam, frame.T_world_ir)
-        self.hidden[frame.index] = tuple(sorted(hidden))
 
     def require_all(self) -> None:
         """Raise if frames are missing.
@@ -183,8 +161,3 @@ class ReceivedFrames:
                 field=self.scene.name,
                 value=lost,
             )
-
-    def _known(self) -> tuple[Camera, Camera, Camera, Camera]:
-        if self._cameras is None:
-            raise ToolkitError("no frame was written yet", field=self.scene.name)
-        return self._cameras

@@ -166,7 +166,6 @@ class SimulatedFrame:
             camera; 0 where there is no surface.
         T_world_cam, T_world_ir: poses of the colour and of the left infrared camera.
         color_camera, infrared_camera: intrinsics of the images.
-        hidden: instance ids of the objects that were left out of this view.
 
     Raises:
         ToolkitError: an array of wrong shape or type, or an invalid value.
@@ -188,7 +187,6 @@ class SimulatedFrame:
     T_world_ir: SE3
     color_camera: Camera
     infrared_camera: Camera
-    hidden: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.index < 0:

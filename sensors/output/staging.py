@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import sync_folder
+from std_toolkit.io.atomic import remove_unfinished, sync_folder
 
 WAITING = ".partial"
 _ATTEMPTS = 100
@@ -42,7 +42,7 @@ def staged_folder(top: Path, relative: str) -> Iterator[Path]:
     waiting = top / WAITING
     name = relative.replace("/", "+")
     try:
-        _sweep(waiting, name)
+        remove_unfinished(waiting, rf"{re.escape(name)}\.[0-9a-f]{{12}}")
         staging, descriptor = _make(waiting, name)
     except OSError as error:
         raise ToolkitError(f"cannot write here: {error.strerror}", path=top) from error
@@ -94,23 +94,3 @@ def _make(waiting: Path, name: str) -> tuple[Path, int]:
             return staging, descriptor
         os.close(descriptor)
     raise ToolkitError("cannot make a folder to work in", path=waiting)
-
-
-def _sweep(waiting: Path, name: str) -> None:
-    pattern = re.compile(rf"{re.escape(name)}\.[0-9a-f]{{12}}")
-    try:
-        found = list(waiting.iterdir())
-    except FileNotFoundError:  # also removed by another process
-        return
-    for left in found:
-        if not (pattern.fullmatch(left.name) and left.is_dir() and not left.is_symlink()):
-            continue
-        with suppress(FileNotFoundError):
-            descriptor = os.open(left, os.O_RDONLY)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(left, ignore_errors=True)
-            except BlockingIOError:
-                continue  # another process writes the same folder; the move decides
-            finally:
-                os.close(descriptor)

@@ -18,33 +18,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
+import msgspec
 import numpy as np
 
 from sensors.output.scene_record import ReceivedFrames, SceneRecord, scene_record
 from sensors.output.simulated_frame import Image8, SimulatedFrame, SimulatedObject, SimulatedScene
-from std_toolkit import __version__
 from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.importers.foreign_files import mesh_suffix, model_of_mesh, write_mesh
 from std_toolkit.io import atomic, documents, exr, images
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.rendering import ground_truth, maps, placements, raycast
 from std_toolkit.rendering.ground_truth import FrameTruth, ObjectTruth, info_path, map_paths
 from std_toolkit.rendering.mesh import RenderMesh
-from std_toolkit.scene.document import digest_file, digest_of, safe_name
-from std_toolkit.scene.model import (
-    CameraModel,
-    CameraPoses,
-    ContinuousSymmetry,
-    Frame,
-    FramePose,
-    Frames,
-    Label,
-    Labels,
-    Model,
-    Object,
-    ObjectTable,
-    SceneInfo,
-    SymmetryModel,
-)
+from std_toolkit.scene import model as scene_model
+from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -105,31 +92,34 @@ class ToolkitSceneWriter:
         scene, folder = self._received.scene, self._folder
         for obj in self._objects:
             write_mesh(folder / obj.model.mesh, obj.mesh)
-        info = SceneInfo(
+        info = scene_model.SceneInfo(
             name=scene.name,
-            cameras={"color": CameraModel.of(self._received.label_camera)},
+            cameras={"color": scene_model.CameraModel.of(self._received.cameras.label)},
             source=f"{SOURCE}:{scene.sensor}",
         )
         names = [(i, frame_name(i)) for i in range(scene.frames)]
-        frames = Frames(
+        frames = scene_model.Frames(
             frames=[
-                Frame(id=i, name=name, color=f"color/{name}.png", depth=f"depth/{name}.exr")
+                scene_model.Frame(
+                    id=i, name=name, color=f"color/{name}.png", depth=f"depth/{name}.exr"
+                )
                 for i, name in names
             ]
         )
         written = Scene.create(folder, info, frames, _object_table(self._objects))
         written.save_poses(
-            CameraPoses(
+            scene_model.CameraPoses(
                 frames=[
-                    FramePose(frame=i, status="registered", T_world_cam=self._T_world_cam(i).flat())
+                    scene_model.FramePose(
+                        frame=i, status="registered", T_world_cam=self._T_world_cam(i).flat()
+                    )
                     for i, _ in names
                 ],
                 source=SOURCE,
                 notes=["exact poses of the simulation, in metres"],
             )
         )
-        labels = [label for obj in self._objects if (label := self._label(obj)) is not None]
-        written.save_labels(Labels(labels=labels))
+        written.save_labels(scene_model.Labels(labels=[self._label(obj) for obj in self._objects]))
         for frame, rows in sorted(self._rows.items()):
             self._write_info(written, frame, rows)
         documents.write_document(record_path(folder), scene_record(self._received))
@@ -143,8 +133,6 @@ class ToolkitSceneWriter:
         rows = []
         for obj in self._objects:
             key = obj.item.instance_id
-            if key in frame.hidden:
-                continue
             T_cam_obj = T_cam_world @ obj.item.T_world_obj
             alone = maps.object_silhouette(
                 self._renderer, camera, self._prepared[key], T_cam_obj, canvas=3
@@ -167,33 +155,24 @@ class ToolkitSceneWriter:
             )
         return rows
 
-    def _label(self, obj: MetricObject) -> Label | None:
-        """The exact pose; one per view if the object was left out of some views."""
-        key = obj.item.instance_id
-        visible = [
-            i for i in range(self._received.scene.frames) if key not in self._received.hidden[i]
-        ]
-        if not visible:
-            return None
-        everywhere = len(visible) == self._received.scene.frames
-        poses = {i: (self._T_world_cam(i).inverse() @ obj.item.T_world_obj).flat() for i in visible}
-        return Label(
-            object=key,
-            frame=visible[0],
-            T_cam_obj=poses[visible[0]],
-            # A pose in the world would also apply to the views that it was left out of.
-            T_world_obj=obj.item.T_world_obj.flat() if everywhere else None,
+    def _label(self, obj: MetricObject) -> scene_model.Label:
+        """The exact pose."""
+        T_world_obj = obj.item.T_world_obj
+        return scene_model.Label(
+            object=obj.item.instance_id,
+            frame=0,
+            T_cam_obj=(self._T_world_cam(0).inverse() @ T_world_obj).flat(),
+            T_world_obj=T_world_obj.flat(),
             method=SOURCE,
-            views={} if everywhere else {str(i): poses[i] for i in visible[1:]},
         )
 
     def _write_info(self, scene: Scene, frame: int, rows: list[ObjectTruth]) -> None:
         paths = map_paths(scene.root, frame)
-        outputs = {p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()}
-        inputs = placements.frame_inputs(scene, frame)
+        artefact = Artefact(scene.root, SOURCE, placements.frame_inputs(scene, frame))
         documents.write_document(
             info_path(scene.root, frame),
             FrameTruth(
+                **msgspec.structs.asdict(artefact.record(paths.values())),
                 frame=frame,
                 policy="models",
                 delta_m=None,
@@ -201,10 +180,6 @@ class ToolkitSceneWriter:
                 renderer=self._renderer.name,
                 smooth_normals=True,
                 objects=rows,
-                version=__version__,
-                inputs=inputs,
-                digest=digest_of(SOURCE, frame, inputs, outputs),
-                outputs=outputs,
             ),
         )
 
@@ -212,10 +187,6 @@ class ToolkitSceneWriter:
 @contextmanager
 def toolkit_scene(out: Path, scene: SimulatedScene) -> Iterator[ToolkitSceneWriter]:
     """A writer of a scene, which appears at `out` when the block ends without an error.
-
-    Objects that were left out of some views have poses only in the others (`views` of the
-    label). This is correct, but `std-curate check` reports them as not propagated; for curation
-    leave no object out.
 
     Raises:
         ToolkitError: `out` exists, or not every frame was written.
@@ -253,11 +224,11 @@ def read_simulation(scene: Path) -> SceneRecord:
     return documents.read_document(record_path(scene), SceneRecord)
 
 
-def _object_table(entries: list[MetricObject]) -> ObjectTable:
-    return ObjectTable(
+def _object_table(entries: list[MetricObject]) -> scene_model.ObjectTable:
+    return scene_model.ObjectTable(
         models=[t.model for t in entries],
         objects=[
-            Object(
+            scene_model.Object(
                 id=t.item.instance_id,
                 name=t.name,
                 model=t.model.id,
@@ -280,7 +251,7 @@ class MetricObject:
 
     item: SimulatedObject
     name: str
-    model: Model
+    model: scene_model.Model
     mesh: trimesh.Trimesh
 
 
@@ -308,13 +279,15 @@ def metric_objects(scene: SimulatedScene) -> list[MetricObject]:
     return found
 
 
-def metric_symmetry(symmetry: Symmetry, scale_m: float) -> SymmetryModel:
+def metric_symmetry(symmetry: Symmetry, scale_m: float) -> scene_model.SymmetryModel:
     """Symmetries of the canonical mesh, scaled to metres."""
     discrete = [SE3.from_matrix(T) for T in symmetry.discrete]
-    return SymmetryModel(
+    return scene_model.SymmetryModel(
         discrete=[SE3(T.R, scale_m * T.t).flat() for T in discrete],
         continuous=[
-            ContinuousSymmetry(axis=list(axis), offset=(scale_m * np.asarray(offset)).tolist())
+            scene_model.ContinuousSymmetry(
+                axis=list(axis), offset=(scale_m * np.asarray(offset)).tolist()
+            )
             for axis, offset in symmetry.continuous
         ],
     )

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.compiled import compiled
 from sensors.specs import SensorSpec
+from std_toolkit.compiled import compiled
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
 

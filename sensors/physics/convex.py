@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.assets.asset import Asset
+from sensors.assets.asset import Asset, surface_points
 from sensors.physics.coacd_process import SETTINGS
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -227,24 +227,15 @@ def _tightened(parts: list[Array], vertices: Array, faces: NDArray[np.int64]) ->
     Remeshing thickens a body by about 0.6 % of its size on every side: objects would float more
     than a millimetre above the floor.
     """
-    surface = np.concatenate([vertices[np.unique(faces)], _samples(vertices, faces)])
+    surface = np.concatenate(
+        [vertices[np.unique(faces)], surface_points(vertices, faces, _SAMPLES)]
+    )
     shrunk = []
     for part in parts:
         mine = surface[_outside(part, surface) < 1e-6]
         if len(mine) >= 4:
             shrunk.append(_hull(mine))
     return shrunk or parts
-
-
-def _samples(vertices: Array, faces: NDArray[np.int64]) -> Array:
-    """(N, 3) points distributed over the surface, deterministic."""
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    rng = np.random.default_rng(0)
-    face = rng.choice(len(faces), _SAMPLES, p=area / area.sum())
-    a, b = np.sort(rng.random((2, _SAMPLES)), axis=0)
-    return np.einsum("nk,nkd->nd", np.stack([a, b - a, 1 - b], axis=1), corners[face])
 
 
 def _outside(part: Array, points: Array) -> Array:

@@ -78,28 +78,30 @@ class MitsubaScene:
 
     def __init__(self, scene: SimScene, mi: Any, variant: str, threads: int | None = None) -> None:
         self._mi, self._variant, self._threads = mi, variant, threads
+        self._scalar = variant.startswith("scalar")  # without a compiler
         self._scene = scene
         # Surfaces differ between colour and infrared; each tracer is built on first use.
         self._tracers: dict[bool, Any] = {}
         self._floors: dict[bool, Any] = {}
 
     def _tracer(self, *, infrared: bool) -> Any:
-        if infrared not in self._tracers:
-            self._tracers[infrared] = self._make_tracer(infrared=infrared)
-        return self._tracers[infrared]
-
-    def _make_tracer(self, *, infrared: bool) -> Any:
+        if infrared in self._tracers:
+            return self._tracers[infrared]
         mi, scene = self._mi, self._scene
         shapes, meshes = mitsuba_scene.build(mi, scene, infrared=infrared)
         self._floors[infrared] = meshes[0][0]
-        if self._variant.startswith("scalar"):
+        if self._scalar:
             from sensors.render.builtin_tracer import BuiltinTracer
 
-            return BuiltinTracer(shapes.everything, mitsuba_scene.environment(mi, scene))
-        from sensors.render.path_tracer import PathTracer
-        from sensors.render.sky import Sky
+            light = mitsuba_scene.environment(mi, scene)
+            self._tracers[infrared] = BuiltinTracer(shapes.everything, light)
+        else:
+            from sensors.render.path_tracer import PathTracer
+            from sensors.render.sky import Sky
 
-        return PathTracer(shapes, meshes, Sky(scene.environment, scene.environment_rotation_rad))
+            sky = Sky(scene.environment, scene.environment_rotation_rad)
+            self._tracers[infrared] = PathTracer(shapes, meshes, sky)
+        return self._tracers[infrared]
 
     def change(self, environment: EnvironmentMap, rotation_rad: float, floor: SceneObject) -> None:
         """See `LoadedScene.change`."""
@@ -111,7 +113,7 @@ class MitsubaScene:
             environment=environment,
             environment_rotation_rad=rotation_rad,
         )
-        if self._variant.startswith("scalar"):
+        if self._scalar:
             self._tracers.clear()
             return
         from sensors.render.sky import Sky
@@ -135,20 +137,15 @@ class MitsubaScene:
         seed: int = 0,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """See `LoadedScene.infrared_pair`; one launch where the variant is compiled."""
-        scalar = self._variant.startswith("scalar")
-        clean = None if scalar else denoiser(self._threads)
-        if not (options.ambient_samples and clean and projector is not None and ambient > 0):
-            left, right = (
-                self.infrared(
-                    camera, T, projector, ambient=ambient, options=options, seed=2 * seed + eye
-                )
-                for eye, T in enumerate(T_world_cams)
-            )
-            return left, right
-        light = self._both_lights(
-            camera, T_world_cams, projector, clean, ambient=ambient, options=options, seed=seed
+        rest: dict[str, Any] = {"ambient": ambient, "options": options}
+        if self._lights_apart(projector, ambient, options):
+            light = self._both_lights(camera, T_world_cams, projector, **rest, seed=seed)
+            return light[0], light[1]
+        left, right = (
+            self.infrared(camera, T, projector, **rest, seed=2 * seed + eye)
+            for eye, T in enumerate(T_world_cams)
         )
-        return light[0], light[1]
+        return left, right
 
     def infrared(
         self,
@@ -165,19 +162,10 @@ class MitsubaScene:
         Without a denoiser, or a compiled variant, both lights are rendered together, with four
         times as many paths.
         """
+        if self._lights_apart(projector, ambient, options):
+            rest: dict[str, Any] = {"ambient": ambient, "options": options, "seed": seed}
+            return self._both_lights(camera, (T_world_cam,), projector, **rest)[0]
         if options.ambient_samples:
-            scalar = self._variant.startswith("scalar")
-            clean = None if scalar else denoiser(self._threads)
-            if clean is not None and projector is not None and ambient > 0:
-                return self._both_lights(
-                    camera,
-                    (T_world_cam,),
-                    projector,
-                    clean,
-                    ambient=ambient,
-                    options=options,
-                    seed=seed,
-                )[0]
             many = 4 * options.samples
             options = replace(options, samples=many, chunk=options.samples, ambient_samples=0)
         chunks = self._radiance(
@@ -185,12 +173,18 @@ class MitsubaScene:
         )
         return clipped_mean(chunks)[..., 0]
 
+    def _lights_apart(
+        self, projector: Projector | None, ambient: float, options: RenderOptions
+    ) -> bool:
+        """Whether the projector's direct light is rendered apart from all other light."""
+        wanted = options.ambient_samples and projector is not None and ambient > 0
+        return bool(wanted and not self._scalar and denoiser(self._threads))
+
     def _both_lights(
         self,
         camera: Camera,
         T_world_cams: Sequence[SE3],
-        projector: Projector,
-        clean: Denoiser,
+        projector: Projector | None,
         *,
         ambient: float,
         options: RenderOptions,
@@ -198,6 +192,8 @@ class MitsubaScene:
     ) -> NDArray[np.float32]:
         """(N, H, W) the projector's direct light, and all other light, denoised."""
         views = len(T_world_cams)
+        clean = denoiser(self._threads)
+        assert clean is not None
         # A path ends at the first diffuse surface: light scattered by one forms no dots.
         dots = replace(options, chunk=1, diffuse_bounces=1)
         paths = self._radiance(
@@ -205,16 +201,8 @@ class MitsubaScene:
         )
         projected = np.stack([bounded_mean(p[..., 0]) for p in np.split(paths, views)])
         rest = replace(options, samples=options.ambient_samples, chunk=0)
-        paths = self._radiance(
-            camera,
-            T_world_cams,
-            projector,
-            ambient=ambient,
-            options=rest,
-            seed=seed,
-            grey=True,
-            indirect=True,
-        )
+        light: dict[str, Any] = {"ambient": ambient, "grey": True, "indirect": True}
+        paths = self._radiance(camera, T_world_cams, projector, options=rest, seed=seed, **light)
         albedo, normal = self._tracer(infrared=True).features(
             camera, T_world_cams, samples=_feature_samples(options), seed=seed
         )
@@ -241,7 +229,7 @@ class MitsubaScene:
             camera, T_world_cam, None, ambient=ambient, options=options, seed=seed, grey=False
         )
         radiance = clipped_mean(chunks)
-        if self._variant.startswith("scalar"):
+        if self._scalar:
             return ColorLight(radiance)
         features = self._tracer(infrared=False).features(
             camera, T_world_cam, samples=_feature_samples(options), seed=seed
@@ -266,7 +254,7 @@ class MitsubaScene:
         Raises:
             ToolkitError: the variant is not compiled.
         """
-        if self._variant.startswith("scalar"):
+        if self._scalar:
             raise ToolkitError(
                 "only compiled variants of Mitsuba measure the lengths of light paths",
                 field="variant",
@@ -283,9 +271,8 @@ class MitsubaScene:
         many = replace(options, samples=factor * options.samples)
         late, light = tracer.phasors(*view, options=many, seed=seed, late=True)
         if clean is not None:
-            features = tracer.features(
-                camera, T_world_cam, samples=_feature_samples(options), seed=seed
-            )
+            samples = _feature_samples(options)
+            features = tracer.features(camera, T_world_cam, samples=samples, seed=seed)
             # Relative to the phase of the surface in view, the phases vary slowly.
             z, _ = tracer.first_hits(camera, T_world_cam)
             there_and_back = 2 * z_to_distance(z, camera)

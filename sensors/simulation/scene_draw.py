@@ -14,16 +14,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from sensors.assets import Asset, AssetSource, SourceOptions, draw_diagonal, open_source
+from sensors.lighting import light_draw
 from sensors.lighting.environment import EnvironmentMap
 from sensors.lighting.environment_sources import EnvironmentSource
-from sensors.lighting.light_draw import (
-    FloorDraw,
-    LightingDraw,
-    SettingDraw,
-    draw_floor,
-    draw_lighting,
-    draw_setting,
-)
 from sensors.materials.material_draw import (
     DrawnMaterial,
     draw_liquid,
@@ -123,11 +116,11 @@ class SceneDraw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     seed: int
     objects: list[ObjectDraw]
-    floors: list[FloorDraw]
-    light: list[LightingDraw]
+    floors: list[light_draw.FloorDraw]
+    light: list[light_draw.LightingDraw]
     pattern_seed: int = 0
     color: list[ColorResponse] = []
-    setting: SettingDraw = SettingDraw()
+    setting: light_draw.SettingDraw = light_draw.SettingDraw()
     spread_m: float | None = None
     upright: bool = False
 
@@ -217,16 +210,18 @@ def dress_scene(
     rng = generator(seed, "light", options)
     once = still or "lighting" in options.fix
     maps = [environments.draw(rng) for _ in range(1 if once else views)]
-    light = [draw_lighting(rng, maps[i % len(maps)].name) for i in range(views)]
+    light = [light_draw.draw_lighting(rng, maps[i % len(maps)].name) for i in range(views)]
     if once:
         maps, light = maps * views, light[:1] * views
     rng = generator(seed, "floor", options)
     count = 1 if still or "background" in options.fix else views
-    floors = [draw_floor(rng, folder=options.floors, split=options.split) for _ in range(count)]
+    floors = [
+        light_draw.draw_floor(rng, folder=options.floors, split=options.split) for _ in range(count)
+    ]
     rng = generator(seed, "color", options)
     color = [] if still else [draw_response(rng) for _ in range(views)]
     rng = generator(seed, "setting", options)
-    setting = draw_setting(rng, folder=options.floors, split=options.split)
+    setting = light_draw.draw_setting(rng, folder=options.floors, split=options.split)
     rng = np.random.default_rng(int(generator(seed, "drop", options).integers(2**31)) + 1)
     piled = rng.random() < PILED_SHARE
     spread = float(rng.uniform(*PILE_M)) if piled else None
@@ -242,7 +237,7 @@ def dress_scene(
         light=light,
         pattern_seed=int(generator(seed, "pattern").integers(2**31)),
         color=color,
-        setting=setting if options.scenes_from == "drop" else SettingDraw(),
+        setting=setting if options.scenes_from == "drop" else light_draw.SettingDraw(),
         spread_m=spread,
         upright=upright,
     )

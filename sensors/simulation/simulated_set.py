@@ -20,8 +20,8 @@ from sensors.simulation.options import Layout, SimulationOptions
 from sensors.simulation.simulator import Simulator
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
+from std_toolkit.jobs.artefact import begin
 from std_toolkit.jobs.options import usable_cores
 from std_toolkit.log import logger
 from std_toolkit.scene.document import Document
@@ -92,7 +92,13 @@ def simulate_set(
     Equipment.of(options)
     quality_of(options.quality)
     SIM_RENDERERS.get(renderer)
-    _begin(out, options, renderer)
+    begin(
+        out / SET_FILE,
+        SetRecord(version_of_tool=__version__, renderer=renderer, options=options),
+        within=("options", "renderer"),
+        what="this set was",
+        hint="choose another folder, or the options that it was begun with",
+    )
     missing = [s for s in seeds if _missing(out, s, split, layouts)]
     _check_room(out, options, len(missing), layouts)
     cores = usable_cores()
@@ -185,36 +191,6 @@ def _check(seeds: Sequence[int], split: str, layouts: Sequence[str]) -> None:
             "seeds are 0 to 99999: scenes are named after them in five digits",
             field="seed",
             value=(min(seeds), max(seeds)),
-        )
-
-
-def _begin(out: Path, options: SimulationOptions, renderer: str) -> None:
-    """Write the record of a new set, or check that the existing one is the same."""
-    path = out / SET_FILE
-    record = SetRecord(version_of_tool=__version__, renderer=renderer, options=options)
-    if not path.exists():
-        if out.is_dir() and any(out.iterdir()):
-            raise ToolkitError(
-                "the folder contains other files than a simulated data set",
-                path=out,
-                hint="choose a new folder",
-            )
-        write_document(path, record)
-        return
-    begun = read_document(path, SetRecord)
-    for name in SimulationOptions.__struct_fields__:
-        was, now = getattr(begun.options, name), getattr(options, name)
-        if was != now:
-            raise ToolkitError(
-                f"this set was begun with {was!r}: all scenes of a set are made alike",
-                path=path,
-                field=f"options.{name}",
-                value=now,
-                hint="choose another folder, or the options that it was begun with",
-            )
-    if begun.renderer != renderer:
-        raise ToolkitError(
-            f"this set was begun with {begun.renderer}", path=path, field="renderer", value=renderer
         )
 
 

@@ -11,7 +11,6 @@ import time
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import msgspec
@@ -25,26 +24,18 @@ from sensors.materials.material_draw import draw_material
 from sensors.render.color_image import ColorResponse, denoise, develop
 from sensors.render.sim_renderer import SIM_RENDERERS, LoadedScene, RenderOptions
 from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh, TruthCaster
+from sensors.simulation import turntable_objects
 from sensors.simulation.options import TurntableOptions
-from sensors.simulation.turntable_objects import (
-    GAP_M,
-    OBJECT_ID,
-    mesh_object,
-    sheet_objects,
-    standing_pose,
-    turntable_material,
-)
 from sensors.viewpoints.views import look_at
-from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.importers.foreign_files import write_mesh
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, read_document, write_document
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.artefact import begin
 from std_toolkit.poses.board_sheet import make_board_sheet
-from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import CameraModel
 
 _TABLE_HALF_M = 1.2
@@ -133,7 +124,7 @@ class Turntable:
     def __init__(self, options: TurntableOptions) -> None:
         self._o = options
         mesh = load_mesh(options.mesh, unit=options.mesh_unit)
-        self.T_world_obj = standing_pose(mesh, options)
+        self.T_world_obj = turntable_objects.standing_pose(mesh, options)
         self.sheet = make_board_sheet(options.paper)
         focal = options.width / 2 / np.tan(np.deg2rad(options.fov_deg) / 2)
         self.camera = Camera(
@@ -161,13 +152,17 @@ class Turntable:
 
     def subject(self) -> SceneObject:
         """The object on the board, with its material and texture."""
-        return mesh_object(self._mesh, turntable_material(self._o), self.T_world_obj)
+        return turntable_objects.mesh_object(
+            self._mesh, turntable_objects.turntable_material(self._o), self.T_world_obj
+        )
 
     def load(self) -> None:
         """Prepare renderer and scene."""
         floor = self._table()
         self._floor = floor
-        scene = SimScene((floor, *sheet_objects(self.sheet), self.subject()), self._environment)
+        scene = SimScene(
+            (floor, *turntable_objects.sheet_objects(self.sheet), self.subject()), self._environment
+        )
         self._caster = TruthCaster(scene)
         self._scene: LoadedScene = SIM_RENDERERS.get("mitsuba")().load(scene)
         self._exposure: float | None = None
@@ -196,7 +191,7 @@ class Turntable:
             exposure=self._fixed_exposure(),
             response=ColorResponse(gain=o.noise),
         )
-        mask = np.where(maps.mask == OBJECT_ID, 255, 0).astype(np.uint8)
+        mask = np.where(maps.mask == turntable_objects.OBJECT_ID, 255, 0).astype(np.uint8)
         write_png(o.out / f"truth/masks/{index:03d}.png", mask)
         # Last: a photo that exists is complete.
         write_color(self.photo(index), image)
@@ -266,7 +261,7 @@ class Turntable:
         return SceneObject(
             0,
             SurfaceMesh(vertices, faces),
-            SE3(np.eye(3), np.array([0, 0, -2 * GAP_M])),
+            SE3(np.eye(3), np.array([0, 0, -2 * turntable_objects.GAP_M])),
             wood,
         )
 
@@ -312,23 +307,12 @@ def _defocus(
 
 def _begin(options: TurntableOptions) -> None:
     """Refuse a folder that was begun with other options."""
-    path = options.out / _BEGUN
     values = {k: v for k, v in asdict(options).items() if k != "out"}
     # Files by name and content, for folders move.
     wanted = msgspec.to_builtins(values, enc_hook=lambda file: f"{file.name} {digest_file(file)}")
-    if path.exists():
-        begun = read_document(path, dict[str, Any])
-        if begun != json.loads(json.dumps(wanted)):
-            raise ToolkitError(
-                "photos with other options were begun here",
-                path=path,
-                hint="choose another folder, or remove this one",
-            )
-        return
-    if options.out.is_dir() and any(options.out.iterdir()):
-        raise ToolkitError(
-            "the folder holds something else than photos of a turntable",
-            path=options.out,
-            hint="choose another folder, or remove this one",
-        )
-    write_bytes_atomic(path, json.dumps(wanted, indent=1).encode() + b"\n")
+    begin(
+        options.out / _BEGUN,
+        json.loads(json.dumps(wanted)),
+        what="these photos were",
+        hint="choose another folder, or remove this one",
+    )

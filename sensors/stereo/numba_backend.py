@@ -12,10 +12,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.compiled import compiled
 from sensors.stereo import numba_kernels
 from sensors.stereo.local_options import Cost, LocalMatcherOptions, Subpixel, window_sums
 from sensors.stereo.stereo_matcher import Disparity, Image
+from std_toolkit.compiled import compiled
 
 # Rows of a band: few enough that its costs (10 MB for 100 disparities of 640 columns) are
 # cheap, many enough that few rows are shared with the neighbouring bands.

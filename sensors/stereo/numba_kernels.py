@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensors.compiled import compiled
 from sensors.stereo.local_options import DISPARITIES, ZNCC_STEPS
+from std_toolkit.compiled import compiled
 
 QUADRATIC, EQUIANGULAR, GAUSSIAN, NONE = 0, 1, 2, 3
 

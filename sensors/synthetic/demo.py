@@ -20,7 +20,7 @@ from std_toolkit.scene.scene import Scene
 # Small enough for two cores and some minutes, long enough for structure from motion.
 SIMULATED = SimulatedOptions()
 QUICK = RecordingOptions(frames=40, arc_degrees=100.0)
-_SIMULATOR = ("coacd", "manifold3d", "mitsuba", "mujoco", "numba")
+_SIMULATOR = ("coacd", "manifold3d", "mitsuba", "mujoco")
 
 
 def run_demo(out: Path, *, quick: bool = False, simulated: SimulatedOptions = SIMULATED) -> int:

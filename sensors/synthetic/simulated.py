@@ -22,9 +22,9 @@ from sensors.synthetic.shapes import label_texture
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import write_color
 from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.artefact import begin
 from std_toolkit.scene.document import Document
 from std_toolkit.scene.model import Material
 
@@ -101,7 +101,13 @@ def make_simulated_recording(
         ToolkitError: another recording exists at `out`, or the simulator does not work here.
     """
     options = options or SimulatedOptions()
-    _begin(out, options)
+    begin(
+        out / _BEGUN,
+        Begun(version_of_tool=__version__, options=options),
+        within=["options"],
+        what="this recording was",
+        hint="choose another folder, or remove this one",
+    )
     if (out / "truth.json").exists():
         return read_truth(out)
     chunks = [range(i, min(i + CHUNK, options.frames)) for i in range(0, options.frames, CHUNK)]
@@ -240,27 +246,6 @@ class _Recorder:
 
 def _write_chunk(recorder: _Recorder, frames: range) -> None:
     recorder.chunk(frames)
-
-
-def _begin(out: Path, options: SimulatedOptions) -> None:
-    path = out / _BEGUN
-    if path.exists():
-        begun = read_document(path, Begun).options
-        if begun != options:
-            raise ToolkitError(
-                "a recording with other options was begun here",
-                path=path,
-                value=msgspec.to_builtins(begun),
-                hint="choose another folder, or remove this one",
-            )
-        return
-    if out.is_dir() and any(out.iterdir()):
-        raise ToolkitError(
-            "the folder holds something else than a simulated recording",
-            path=out,
-            hint="choose another folder, or remove this one",
-        )
-    write_document(path, Begun(version_of_tool=__version__, options=options))
 
 
 def _depth_path(out: Path, index: int) -> Path:

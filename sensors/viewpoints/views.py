@@ -1,15 +1,14 @@
-"""Single views: a camera that looks at a point, random viewpoints, and the objects in view."""
+"""Single views: a camera that looks at a point, and random viewpoints."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry import SE3
 
 Range = tuple[float, float]
 
@@ -171,54 +170,3 @@ def look_at(eye: ArrayLike, target: ArrayLike, *, up: ArrayLike = WORLD_UP) -> S
         raise ToolkitError("the camera looks along its up vector", field="up", value=u.tolist())
     right /= length
     return SE3(np.stack([right, np.cross(forward, right), forward], axis=1), e)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewMargins:
-    """Part of the image, as fractions of its width and height, that object centres must be in.
-
-    The defaults are those of the DREDS generator.
-    """
-
-    horizontal: tuple[float, float] = (0.03, 0.97)
-    vertical: tuple[float, float] = (0.05, 0.95)
-
-    def __post_init__(self) -> None:
-        for name in ("horizontal", "vertical"):
-            low, high = getattr(self, name)
-            if not 0 <= low < high <= 1:
-                raise ToolkitError("must rise within 0..1", field=name, value=(low, high))
-
-
-def hidden_objects(
-    T_world_cam: SE3,
-    camera: Camera,
-    centres: Mapping[int, ArrayLike],
-    margins: ViewMargins | None = None,
-) -> tuple[int, ...]:
-    """Ids of the objects left out of a view because their centre is at its edge or outside.
-
-    An object of which only a sliver is visible would count as one that a method missed.
-
-    Args:
-        T_world_cam: of the view.
-        camera: intrinsics; a fraction of 0 is the outer edge of the first pixel.
-        centres: (3,) of every object in the world, metres, by instance id.
-        margins: objects outside them are left out.
-
-    Returns:
-        Increasing ids.
-    """
-    margins = margins or ViewMargins()
-    T_cam_world = T_world_cam.inverse()
-    hidden = []
-    for key, centre in centres.items():
-        u, v = camera.project(T_cam_world @ np.asarray(centre, dtype=np.float64))
-        x, y = (u + 0.5) / camera.width, (v + 0.5) / camera.height
-        # Comparisons with the NaN of a point behind the camera are false.
-        if not (
-            margins.horizontal[0] <= x <= margins.horizontal[1]
-            and margins.vertical[0] <= y <= margins.vertical[1]
-        ):
-            hidden.append(key)
-    return tuple(sorted(hidden))

@@ -25,15 +25,14 @@ from std_toolkit.checks.measure.textures import compare_textures
 from std_toolkit.checks.page import figures, overlay
 from std_toolkit.checks.page.report import PageParts, render_page
 from std_toolkit.checks.page.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
-from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
-from std_toolkit.io.documents import document_bytes, read_document
+from std_toolkit.io.documents import digest_files, document_bytes, read_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.log import logger
+from std_toolkit.jobs.artefact import Artefact, Record, read_record, record_path
 from std_toolkit.options import CheckOptions
 from std_toolkit.rendering.ground_truth import info_path, map_paths
-from std_toolkit.scene import Frame, Scene, document
-from std_toolkit.scene.check_flags import scene_fingerprint
+from std_toolkit.scene import Frame, Scene
+from std_toolkit.scene.check_flags import SCENE_INPUT, scene_fingerprint
 
 STEP = "check"
 FOLDER = "check"
@@ -105,15 +104,13 @@ def run_check(
         sweep_temporaries(scene.root)
         frames = spread(scene.registered_frames(), options.max_frames)
         fingerprint = scene_fingerprint(scene)
-        digest = document.digest_of(
-            fingerprint,
-            asdict(options),
-            [gate.key for gate in all_gates()],
-            version("plotly"),
-            _file_digests(scene, frames),
-        )
-        if document.is_fresh(scene.root, STEP, digest):
-            logger.info("check: nothing changed, the report is up to date")
+        inputs = {
+            SCENE_INPUT: fingerprint,
+            "gates": " ".join(gate.key for gate in all_gates()),
+            "version of plotly": version("plotly"),
+        }
+        artefact = Artefact(scene.root, STEP, inputs | _files(scene, frames), asdict(options))
+        if artefact.is_kept():
             return read_document(scene.root / FOLDER / "report.json", result.CheckReport)
         with ArrayFile(scene.root / ".std") as arrays:
             report, page = _check(scene, frames, fingerprint, options, jobs, arrays)
@@ -125,13 +122,7 @@ def run_check(
         }
         for name, data in outputs.items():
             write_bytes_atomic(scene.root / FOLDER / name, data)
-        document.write_record(
-            scene.root,
-            STEP,
-            digest,
-            outputs=[scene.root / FOLDER / name for name in outputs],
-            parameters=asdict(options) | {"scene": fingerprint},
-        )
+        artefact.write([scene.root / FOLDER / name for name in outputs])
     return report
 
 
@@ -140,11 +131,8 @@ def report_is_current(scene: Scene) -> bool:
 
     Reads no image. A report whose record was deleted counts as current.
     """
-    try:
-        record = read_document(document.record_path(scene.root, STEP), document.Record)
-    except ToolkitError:
-        return True
-    return record.parameters.get("scene", "") in ("", scene_fingerprint(scene))
+    record = read_record(record_path(scene.root, STEP), Record)
+    return record is None or record.inputs.get(SCENE_INPUT) == scene_fingerprint(scene)
 
 
 def report_path(root: Path) -> Path:
@@ -260,7 +248,8 @@ def _up(scene: Scene, cloud: Cloud | None) -> NDArray[np.float64]:
     return coverage.scene_up(poses, None if cloud is None else cloud.xyz.astype(np.float64))
 
 
-def _file_digests(scene: Scene, frames: list[Frame]) -> dict[str, Any]:
+def _files(scene: Scene, frames: list[Frame]) -> dict[str, str]:
+    """Digests of the files of the frames by path."""
     files = [scene.root / "poses" / "points.ply"]
     for frame in frames:
         files.append(scene.color_path(frame))
@@ -269,11 +258,7 @@ def _file_digests(scene: Scene, frames: list[Frame]) -> dict[str, Any]:
         if info_path(scene.root, frame.id).is_file():
             maps = map_paths(scene.root, frame.id)
             files += [info_path(scene.root, frame.id), maps["mask"], maps["depth"]]
-    return {p.relative_to(scene.root).as_posix(): _digest_or_none(p) for p in files}
-
-
-def _digest_or_none(path: Path) -> str | None:
-    return document.digest_file(path) if path.is_file() else None
+    return digest_files(scene.root, files)
 
 
 def objects_csv(report: result.CheckReport) -> bytes:

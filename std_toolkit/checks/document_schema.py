@@ -11,8 +11,9 @@ from std_toolkit.checks.result import CheckReport
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import DIALECT
+from std_toolkit.jobs import artefact
 from std_toolkit.rendering.ground_truth import FrameTruth
-from std_toolkit.scene import document, model, sidecar
+from std_toolkit.scene import model, sidecar
 
 
 def document_types() -> dict[str, type]:
@@ -26,7 +27,7 @@ def document_types() -> dict[str, type]:
         "annotation": model.Annotation,
         "ground_truth": FrameTruth,
         "check_report": CheckReport,
-        "record": document.Record,
+        "record": artefact.Record,
         "export": sidecar.Sidecar,
     }
 

@@ -134,12 +134,20 @@ class Program:
         return self.name if len(self.commands) == 1 else f"{self.name} {command.name}"
 
     def _run(self, command: Command, words: list[str]) -> int:
-        options, verbosity = parse_options(_load(command.options), words, self._title(command))
-        log_to_stderr(logging.WARNING if verbosity.quiet else logging.INFO)
+        options, common = parse_options(_load(command.options), words, self._title(command))
+        log_to_stderr(logging.WARNING if common.quiet else logging.INFO)
+
+        def run() -> int:
+            if common.limits is not None:
+                from std_toolkit.settings import read_settings, use
+
+                use(read_settings(common.limits))
+            return _load(command.run)(options) or 0
+
         return exit_status(
-            lambda: _load(command.run)(options) or 0,
+            run,
             program=self.name,
-            debug=verbosity.debug,
+            debug=common.debug,
             on_interrupt=self.on_interrupt,
         )
 

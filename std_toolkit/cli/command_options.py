@@ -32,6 +32,7 @@ import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from textwrap import fill
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -42,9 +43,11 @@ _REPEATED = re.compile(r"\{?\[(\{[^{}]*\}|[A-Z]+) \[\1 \.\.\.\]\]\}?")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verbosity:
+class CommonOptions:
     """Options of every command."""
 
+    limits: Path | None = dataclasses.field(default=None, metadata={"option": "settings"})
+    """TOML file of limits that decide what is accepted; `std-curate settings` prints all"""
     quiet: bool = False
     """print warnings and errors only"""
     debug: bool = False
@@ -55,7 +58,7 @@ class UsageError(Exception):
     """A command line that cannot be parsed; the message is one line."""
 
 
-def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[Any, Verbosity]:
+def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[Any, CommonOptions]:
     """Parse the words of a command line.
 
     Args:
@@ -64,7 +67,7 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
         program: title of the program in help and errors.
 
     Returns:
-        An instance of `kind`, and the verbosity.
+        An instance of `kind`, and the options of every command.
 
     Raises:
         SystemExit: after `--help`.
@@ -74,9 +77,7 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
 
     def parse() -> Any:
         with on_parse_error(functools.partial(_refuse, program)):
-            return tyro.cli(
-                _with_verbosity(kind), prog=program, args=list(words), config=_markers()
-            )
+            return tyro.cli(_with_common(kind), prog=program, args=list(words), config=_markers())
 
     if "--help" in words or "-h" in words:
         page = io.StringIO()
@@ -93,7 +94,8 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
         titles = {option.field: option.title for option in _options(kind)}
         error.field = titles.get(error.field or "", error.field)
         raise UsageError(str(error)) from error
-    return options, Verbosity(quiet=call.quiet, debug=call.debug)
+    common = {field.name: getattr(call, field.name) for field in dataclasses.fields(CommonOptions)}
+    return options, CommonOptions(**common)
 
 
 def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -> None:
@@ -106,7 +108,7 @@ def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -
     """
     import tyro
 
-    calls: dict[str, Callable[..., Any]] = {n: _with_verbosity(k) for n, k in kinds.items()}
+    calls: dict[str, Callable[..., Any]] = {n: _with_common(k) for n, k in kinds.items()}
     arguments = ["--tyro-print-completion", shell]
     if len(calls) == 1:
         tyro.cli(*calls.values(), prog=program, args=arguments, config=_markers())
@@ -295,13 +297,13 @@ def _size(name: str, word: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _with_verbosity(kind: type[Any]) -> type[Any]:
+def _with_common(kind: type[Any]) -> type[Any]:
     """A flat dataclass of all options, for the parser."""
     from tyro import conf
 
     fields: list[tuple[str, Any, Any]] = []
     options = sorted(_options(kind), key=lambda o: o.default is not dataclasses.MISSING)
-    for option in (*options, *_options(Verbosity)):
+    for option in (*options, *_options(CommonOptions)):
         hint, default, metavar = option.type, option.default, None
         if get_origin(hint) in _MAPPINGS:
             hint, metavar = tuple[str, ...], "NAME=VALUE ..."

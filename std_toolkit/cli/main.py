@@ -82,6 +82,10 @@ PROGRAM = Program(
             "schema", "print or write the JSON Schema of the documents", "recording",
             "SchemaCommand", "print_schema",
         ),
+        _command(
+            "settings", "print the limits that decide what is accepted, as TOML", "recording",
+            "SettingsCommand", "print_settings",
+        ),
     ),
     rewrite=with_link_mode,
     on_interrupt="run the same command again to resume",

@@ -240,3 +240,26 @@ def print_schema(command: SchemaCommand) -> int:
     else:
         print("\n".join(document_types()))
     return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingsCommand:
+    """Print the limits that decide what is accepted, as a file for `--settings`."""
+
+    group: str = field(default="", metadata={"option": ""})
+    """name of a group or of several, such as checks.gates (default: all)"""
+
+
+def print_settings(command: SettingsCommand) -> int:
+    """Print the limits in force."""
+    from std_toolkit.settings import every_group, settings_text
+
+    groups = [
+        kind
+        for kind in every_group()
+        if f"{kind.group}.".startswith(f"{command.group}." if command.group else "")
+    ]
+    if not groups:
+        raise ToolkitError("no group of settings has this name", value=command.group)
+    print("\n\n".join(settings_text(kind) for kind in groups))
+    return 0

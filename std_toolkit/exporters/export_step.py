@@ -11,25 +11,24 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import EXPORTERS, Exporter, FrameRow, Target
+from std_toolkit.exporters.exporter import Exporter, FrameRow, Target, get_exporter
 from std_toolkit.exporters.frame_maps import check_fresh, color_camera
 from std_toolkit.exporters.staging import (
-    PROGRESS,
+    Progress,
     drop_strangers,
     file_digests,
-    finished_row,
-    record_row,
+    progress_path,
     staging_area,
     state_of,
 )
-from std_toolkit.io.documents import write_document
+from std_toolkit.io.documents import digest_files, digest_of, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.options import ExportOptions
 from std_toolkit.rendering.ground_truth import info_path, read_frame_truth, rendered_frames
 from std_toolkit.scene import model
 from std_toolkit.scene.check_flags import CheckFlags, read_check_flags
-from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
 from std_toolkit.scene.sidecar import (
     SIDECAR_NAME,
@@ -70,12 +69,12 @@ def export_scene(
     out = Path(out)
     if out.resolve().is_relative_to(scene.root.resolve()):
         raise ToolkitError("an export cannot be inside its scene", path=out, field="--out")
-    exporter = EXPORTERS.get(format_name)
+    exporter = get_exporter(format_name, options.settings)
     target = plan(scene, out, options)
     exporter.check(target)
     documents = _documents_digest(scene)
-    digests = {f.id: _frame_digest(target, f, format_name, documents) for f in target.frames}
-    digest = _export_digest(target, format_name, digests)
+    frames = {f.id: _frame_artefact(target, f, format_name, documents) for f in target.frames}
+    digest = _export_digest(target, format_name, frames)
     if state_of(out, digest) == "same":
         logger.info("%s: this export already exists", out)
         from std_toolkit.io.documents import read_document
@@ -94,7 +93,7 @@ def export_scene(
             format_name=format_name,
             options=options,
         )
-        items = [(f.id, digests[f.id]) for f in target.frames]
+        items = [(f, replace(made, root=staging)) for f, made in frames.items()]
         report = run_jobs(
             job, items, name=f"export {format_name}", key=lambda x: str(x[0]), options=jobs
         )
@@ -160,7 +159,7 @@ def _dropped(
 
 
 def _export_frame(
-    item: tuple[int, str],
+    item: tuple[int, Artefact],
     *,
     root: str,
     documents: str,
@@ -168,14 +167,15 @@ def _export_frame(
     format_name: str,
     options: ExportOptions,
 ) -> FrameRow:
-    frame_id, digest = item
+    frame_id, artefact = item
     target = _staged_target(root, documents, staging, options)
-    key = f"{frame_id:06d}"
-    if (row := finished_row(target.root, key, digest)) is not None:
-        return row
-    exporter: Exporter = EXPORTERS.get(format_name)
+    path = progress_path(target.root, frame_id)
+    if (progress := artefact.find(path, Progress)) is not None:
+        return progress.row
+    exporter = get_exporter(format_name, options.settings)
     row = exporter.write_frame(target, target.scene.frame(frame_id))
-    record_row(target.root, key, digest, row)
+    made = artefact.record(target.root / name for name in row.outputs)
+    write_document(path, Progress(**msgspec.structs.asdict(made), row=row))
     return row
 
 
@@ -238,8 +238,8 @@ def _close(
 def _expected(staging: Path, target: Target, rows: list[FrameRow], others: list[str]) -> set[str]:
     """Files that belong to the export, and the records of its progress."""
     files = {name for row in rows for name in row.outputs} | set(others)
-    keys = {f"{PROGRESS}/{f.id:06d}.json" for f in target.frames}
-    return files | {k for k in keys if (staging / k).is_file()}
+    records = [progress_path(staging, f.id) for f in target.frames]
+    return files | {p.relative_to(staging).as_posix() for p in records if p.is_file()}
 
 
 def _scene_info(scene: Scene, cameras: dict[str, model.CameraModel]) -> model.SceneInfo:
@@ -297,43 +297,38 @@ def _poses(scene: Scene, exported: set[int]) -> model.CameraPoses | None:
 
 def _documents_digest(scene: Scene) -> str:
     names = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
-    return digest_of([digest_file(p) if (p := scene.root / n).is_file() else None for n in names])
+    return digest_of(digest_files(scene.root, [scene.root / name for name in names]))
 
 
-def _frame_digest(target: Target, frame: model.Frame, format_name: str, documents: str) -> str:
+def _frame_artefact(
+    target: Target, frame: model.Frame, format_name: str, documents: str
+) -> Artefact:
+    scene, flags = target.scene, target.flags
+    files = [info_path(scene.root, frame.id), scene.color_path(frame)]
+    files += [] if frame.depth is None else [scene.root / frame.depth]
+    faults = None
+    if flags is not None:
+        objects = [[i, why] for (of, i), why in flags.objects.items() if of == frame.id]
+        faults = [flags.frames.get(frame.id, ""), objects]
+    inputs = digest_files(scene.root, files)
+    inputs |= {"documents": documents, "faults": digest_of(faults)}
+    used = {"objects": target.object_ids, "models": target.model_ids}
+    options = _options(target, format_name) | used
+    return Artefact(target.root, f"exported frame {frame.id}", inputs, options)
+
+
+def _export_digest(target: Target, format_name: str, frames: dict[int, Artefact]) -> str:
     scene = target.scene
+    meshes = [scene.mesh_path(scene.objects.model(m)) for m in target.model_ids]
     return digest_of(
-        format_name,
-        _options_key(target.options),
-        list(target.object_ids),
-        list(target.model_ids),
-        digest_file(info_path(scene.root, frame.id)),
-        digest_file(scene.color_path(frame)),
-        None if frame.depth is None else digest_file(scene.root / frame.depth),
-        documents,
-        _flags_key(target, frame.id),
-    )
-
-
-def _flags_key(target: Target, frame_id: int) -> list[object] | None:
-    flags = target.flags
-    if flags is None:
-        return None
-    objects = [[i, why] for (frame, i), why in flags.objects.items() if frame == frame_id]
-    return [flags.frames.get(frame_id, ""), objects]
-
-
-def _export_digest(target: Target, format_name: str, frames: dict[int, str]) -> str:
-    scene = target.scene
-    meshes = [digest_file(scene.mesh_path(scene.objects.model(m))) for m in target.model_ids]
-    return digest_of(
-        format_name,
-        _options_key(target.options),
-        list(frames.values()),
-        meshes,
+        _options(target, format_name),
+        [frame.digest for frame in frames.values()],
+        digest_files(scene.root, meshes),
         sorted(target.dropped.items()),
     )
 
 
-def _options_key(options: ExportOptions) -> list[object]:
-    return [options.label_size, options.scene_number, options.split, options.quaternion]
+def _options(target: Target, format_name: str) -> dict[str, object]:
+    names = ("label_size", "scene_number", "split", "quaternion")
+    given = {name: getattr(target.options, name) for name in names}
+    return {"format": format_name, **given, "settings": sorted(target.options.settings)}

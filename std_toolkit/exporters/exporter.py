@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.options import ExportOptions
-from std_toolkit.plugins import Registry
+from std_toolkit.plugins import Registry, configured, setting_of
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.check_flags import CheckFlags
 from std_toolkit.scene.model import Frame
@@ -77,7 +78,11 @@ class FrameRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Exporter(Protocol):
-    """Writes one layout."""
+    """Writes one layout.
+
+    An exporter with settings of its own is a frozen dataclass: `std-curate export --set NAME=VALUE`
+    sets its fields, which may be bool, int, float, str, literals, or tuples of one of them.
+    """
 
     def check(self, target: Target) -> None:
         """Check that the layout can represent the scene.
@@ -122,6 +127,28 @@ EXPORTERS: Registry[Exporter] = Registry(
         "nocs": "std_toolkit.exporters.nocs_exporter:NOCS",
     },
 )
+
+
+def get_exporter(name: str, settings: Sequence[str] = ()) -> Exporter:
+    """The exporter of a layout, with its own settings.
+
+    Args:
+        name: of the layout, of an installed plug-in, or `file.py:EXPORTER`.
+        settings: `NAME=VALUE`, see `ExportOptions.settings`.
+
+    Raises:
+        ToolkitError: no such exporter or setting, or a wrong value.
+
+    >>> get_exporter("nocs", ["depth=float"])
+    Traceback (most recent call last):
+    std_toolkit.errors.ToolkitError: --set: the exporter has no settings (got 'nocs')
+    """
+    exporter = EXPORTERS.get(name)
+    if not settings:
+        return exporter
+    if not is_dataclass(exporter):
+        raise ToolkitError("the exporter has no settings", field="--set", value=name)
+    return configured(exporter, dict(map(setting_of, settings)), of="exporter")
 
 
 def exported_frame(

@@ -12,11 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, undistort_image
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.undistortion import undistort_image
 from std_toolkit.rendering import choose, ground_truth, maps, placements
 from std_toolkit.rendering.renderer import image_window
 from std_toolkit.scene import Frame, Scene
@@ -109,18 +111,7 @@ def _rendered(
         sensor = cv2.resize(sensor, camera.size, interpolation=cv2.INTER_NEAREST_EXACT)  # type: ignore[assignment]
     old = {row.object: row for row in found.info.objects}
     rows = [_row(old[i], composition, k, camera, sensor) for k, i in enumerate(ids)]
-    truth = ground_truth.FrameTruth(
-        frame=frame.id,
-        policy=found.info.policy,
-        delta_m=found.info.delta_m,
-        renderer=found.info.renderer,
-        smooth_normals=found.info.smooth_normals,
-        objects=rows,
-        version=found.info.version,
-        inputs=found.info.inputs,
-        digest=found.info.digest,
-        outputs={},
-    )
+    truth = msgspec.structs.replace(found.info, objects=rows, outputs={})
     mask = maps.mask_of(composition.index, ids)
     return FrameMaps(truth, composition.depth, mask, nocs)
 

@@ -15,23 +15,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-import msgspec
-
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.exporter import FrameRow
 from std_toolkit.io.atomic import refuse_links, sweep_temporaries
-from std_toolkit.io.documents import read_document, write_document
-from std_toolkit.scene.document import digest_file
+from std_toolkit.io.documents import digest_files, read_document
+from std_toolkit.jobs.artefact import Record, changed_files
 from std_toolkit.scene.sidecar import SIDECAR_NAME, Sidecar
 
 PROGRESS = ".progress"
 
 
-class Progress(msgspec.Struct, frozen=True, kw_only=True):
+class Progress(Record, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A finished frame in the staging area."""
 
-    digest: str
-    outputs: dict[str, str]
     row: FrameRow
 
 
@@ -46,11 +42,8 @@ def state_of(out: Path, digest: str) -> Literal["vacant", "same", "other"]:
         sidecar = read_document(path, Sidecar)
     except ToolkitError:
         return "other"
-    whole = sidecar.digest == digest and all(
-        (out / name).is_file() and digest_file(out / name) == content
-        for name, content in sidecar.files.items()
-    )
-    return "same" if whole else "other"
+    same = sidecar.digest == digest and not changed_files(out, sidecar.files)
+    return "same" if same else "other"
 
 
 @contextmanager
@@ -104,28 +97,9 @@ def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
         os.close(descriptor)
 
 
-def finished_row(staging: Path, key: str, digest: str) -> FrameRow | None:
-    """The row of a frame that an earlier run finished from the same inputs, else None."""
-    path = staging / PROGRESS / f"{key}.json"
-    if not path.is_file():
-        return None
-    try:
-        progress = read_document(path, Progress)
-    except ToolkitError:  # of another version: the frame is written again
-        return None
-    whole = progress.digest == digest and all(
-        (staging / name).is_file() and digest_file(staging / name) == content
-        for name, content in progress.outputs.items()
-    )
-    return progress.row if whole else None
-
-
-def record_row(staging: Path, key: str, digest: str, row: FrameRow) -> None:
-    """Record a finished frame."""
-    outputs = {name: digest_file(staging / name) for name in row.outputs}
-    write_document(
-        staging / PROGRESS / f"{key}.json", Progress(digest=digest, outputs=outputs, row=row)
-    )
+def progress_path(staging: Path, frame_id: int) -> Path:
+    """Path of the record of a frame in the staging area."""
+    return staging / PROGRESS / f"{frame_id:06d}.json"
 
 
 def drop_strangers(staging: Path, expected: set[str]) -> None:
@@ -140,13 +114,9 @@ def drop_strangers(staging: Path, expected: set[str]) -> None:
 
 def file_digests(staging: Path) -> dict[str, str]:
     """Digest of every file in the staging area except its records, by relative path."""
-    files = (p for p in staging.rglob("*") if p.is_file())
-    names = sorted(p.relative_to(staging).as_posix() for p in files)
-    return {
-        n: digest_file(staging / n)
-        for n in names
-        if not n.startswith(f"{PROGRESS}/") and n != SIDECAR_NAME
-    }
+    files = digest_files(staging, sorted(p for p in staging.rglob("*") if p.is_file()))
+    own = (f"{PROGRESS}/", SIDECAR_NAME)
+    return {name: digest for name, digest in files.items() if not name.startswith(own)}
 
 
 def _put_in_place(staging: Path, out: Path) -> None:

@@ -1,13 +1,16 @@
-"""Pinhole cameras with OpenCV distortion, and z-depth maps. Pixel centres are at integers.
+"""Cameras and z-depth maps. Pixel centres are at integers; depth is in metres, 0 = no measurement.
 
-Depth maps: z-depth in metres, 0 = no measurement.
+`Camera` projects points, unprojects pixels and makes rays, with a lens of `camera_models`. Others
+take fx, fy, cx and cy of a pinhole for a reason: compiled loops (alignment of depth, silhouettes,
+patch match), torch (`benchmark.methods.torch_camera`), renderers, derivatives, and steps of
+optimisers that clamp the depth (`labels.propagate`). BOP's FISHEYE624 is scored beyond 90 degrees.
 """
 
 from __future__ import annotations
 
 import operator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
@@ -15,15 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera_models import Lens, OpenCV, Pinhole, lens_of
 
 Array = NDArray[np.float64]
 
 # Smallest distance of the principal point from an edge, as a fraction of the image size, for
 # cropped images. In whole images it is within a few percent of the centre; importers check that.
 NEAREST_TO_EDGE = 0.27
-
-# Rational models of real lenses reach some hundred.
-LARGEST_DISTORTION = 1e4
 
 # Relative to the depth: a table seen at 15 degrees changes by less from pixel to pixel.
 LARGEST_DEPTH_STEP = 0.03
@@ -43,7 +44,9 @@ class Camera:
     Attributes:
         width, height: image size in pixels.
         fx, fy, cx, cy: pixels; the centre of the top-left pixel is (0, 0).
-        distortion: OpenCV coefficients k1 k2 p1 p2 [k3 [k4 k5 k6]], or empty.
+        distortion: coefficients of the lens model; empty for a pinhole.
+        model: lens model: "opencv" with k1 k2 p1 p2 [k3 [k4 k5 k6]], "fisheye" with k1 k2 k3 k4,
+            or another of `camera_models.MODELS`. Cameras of scenes are "opencv".
 
     Raises:
         ToolkitError: an impossible value, such as a principal point outside the image (typical
@@ -57,6 +60,7 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    model: str = "opencv"
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -90,23 +94,42 @@ class Camera:
         """(width, height) in pixels."""
         return self.width, self.height
 
+    @cached_property
+    def lens(self) -> Lens:
+        """The lens model with its coefficients."""
+        return lens_of(self.model, self.distortion)
+
     @property
     def is_distorted(self) -> bool:
-        """Whether the lens has distortion."""
-        return any(self.distortion)
+        """Whether the lens is not a pinhole."""
+        return not isinstance(self.lens, Pinhole)
+
+    @property
+    def opencv_distortion(self) -> tuple[float, ...]:
+        """OpenCV's eight coefficients k1 k2 p1 p2 k3 k4 k5 k6; all 0 for a pinhole.
+
+        Raises:
+            ToolkitError: the lens has another model.
+        """
+        if self.model != "opencv":
+            raise ToolkitError(
+                "needs a pinhole or a lens of OpenCV's radial-tangential model",
+                field="model",
+                value=self.model,
+                hint="undistort the images first; `std-curate import` does",
+            )
+        return OpenCV(self.distortion).padded
 
     def project(self, points: NDArray[np.floating]) -> Array:
         """Pixels (..., 2) of camera-frame points (..., 3).
 
-        Points with z <= 0 give NaN. So do points far outside the view where the distortion
-        polynomial is no longer monotonic and would project them into the image.
+        Points with z <= 0 give NaN, whatever the lens. So do points far outside the view where the
+        distortion polynomial is no longer monotonic and would project them into the image.
         """
         p = np.asarray(points, dtype=np.float64)
         z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
         x, y = p[..., 0] / z, p[..., 1] / z
-        if self.is_distorted:
-            valid = x * x + y * y < largest_radius2(self.distortion)
-            x, y = self._distort(np.where(valid, x, np.nan), y)
+        x, y = self.lens.distort(x, y)
         return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=-1)
 
     def unproject(self, uv: NDArray[np.floating], z: NDArray[np.floating] | float = 1.0) -> Array:
@@ -114,13 +137,22 @@ class Camera:
 
         Pixels far outside the image, where the distortion cannot be inverted, have x and y NaN.
         """
-        xy = self._normalised(np.asarray(uv, dtype=np.float64))
+        xy = self.lens.undistort(np.asarray(uv, dtype=np.float64), self.K)
         depth = np.broadcast_to(np.asarray(z, dtype=np.float64), xy.shape[:-1])
         return np.concatenate([xy * depth[..., None], depth[..., None]], axis=-1)
 
     def rays(self) -> Array:
         """(H, W, 3) camera-frame points at z = 1 behind every pixel centre."""
         return pixel_rays(self).copy()
+
+    def pinhole_rays(
+        self, u: NDArray[np.integer | np.floating], v: NDArray[np.integer | np.floating]
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """x/z of columns u and y/z of rows v, of any shapes, without the lens's distortion.
+
+        For loops over windows of undistorted images, whose rays are separable.
+        """
+        return (u - self.cx) / self.fx, (v - self.cy) / self.fy
 
     def pixel_grid(self) -> Array:
         """(H, W, 2) pixel coordinates (u, v) of every pixel centre."""
@@ -142,34 +174,14 @@ class Camera:
 
     def cropped(self, x: int, y: int, width: int, height: int) -> Crop:
         """The camera of the window of width x height whose top-left pixel is (x, y)."""
-        return Crop(width, height, self.fx, self.fy, self.cx - x, self.cy - y, self.distortion)
+        cx, cy = self.cx - x, self.cy - y
+        return Crop(width, height, self.fx, self.fy, cx, cy, self.distortion, self.model)
 
     def without_distortion(self) -> Camera:
-        """The same camera with an ideal lens."""
-        return replace(self, distortion=()) if self.distortion else self
-
-    def _normalised(self, uv: Array) -> Array:
-        if not self.is_distorted:
-            return (uv - [self.cx, self.cy]) / [self.fx, self.fy]
-        # OpenCV's default stops after 5 iterations, which leaves 0.1 px at wide corners.
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
-        flat = np.ascontiguousarray(uv.reshape(-1, 1, 2))
-        out = cv2.undistortPoints(flat, self.K, np.array(self.distortion), criteria=criteria)
-        xy = np.asarray(out, dtype=np.float64).reshape(uv.shape)
-        # Without a solution, the result of the iteration is arbitrary.
-        x, y = self._distort(xy[..., 0], xy[..., 1])
-        error = np.hypot(self.fx * x + self.cx - uv[..., 0], self.fy * y + self.cy - uv[..., 1])
-        wrong = ~(error < 1e-6) | ((xy**2).sum(axis=-1) >= largest_radius2(self.distortion))
-        return np.where(wrong[..., None], np.nan, xy)
-
-    def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *([0.0] * (8 - len(self.distortion))))
-        r2 = x * x + y * y
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        return (
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        )
+        """The same camera with an ideal lens: image size and K are unchanged."""
+        if not self.distortion and self.model == "opencv":
+            return self
+        return replace(self, distortion=(), model="opencv")
 
 
 class Crop(Camera):
@@ -197,20 +209,7 @@ def _check_numbers(camera: Camera) -> None:
             raise ToolkitError("must be positive", field=name, value=getattr(camera, name))
     distortion = tuple(float(k) for k in camera.distortion)
     object.__setattr__(camera, "distortion", distortion)
-    if len(distortion) not in (0, 4, 5, 8):
-        raise ToolkitError(
-            "distortion has 0, 4, 5 or 8 coefficients (k1 k2 p1 p2 [k3 [k4 k5 k6]])",
-            field="distortion",
-            value=len(distortion),
-        )
-    if not all(np.isfinite(distortion)):
-        raise ToolkitError("is not finite", field="distortion", value=distortion)
-    if any(abs(k) > LARGEST_DISTORTION for k in distortion):
-        raise ToolkitError(
-            f"no lens has coefficients above {LARGEST_DISTORTION:g}",
-            field="distortion",
-            value=distortion,
-        )
+    _ = camera.lens  # checks the coefficients
 
 
 @lru_cache(maxsize=2)
@@ -219,57 +218,6 @@ def pixel_rays(camera: Camera) -> Array:
     rays = camera.unproject(camera.pixel_grid())
     rays.flags.writeable = False
     return rays
-
-
-@lru_cache(maxsize=64)
-def largest_radius2(distortion: tuple[float, ...]) -> float:
-    """Squared normalised radius below which the radial distortion increases and is invertible.
-
-    r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3) with s = r^2 increases until the
-    first zero of the numerator of its derivative, or of its denominator.
-    """
-    k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *([0.0] * (8 - len(distortion))))
-    s = np.polynomial.Polynomial([0, 1])
-    top = 1 + k1 * s + k2 * s**2 + k3 * s**3
-    bottom = 1 + k4 * s + k5 * s**2 + k6 * s**3
-    slope = top * bottom + 2 * s * (top.deriv() * bottom - top * bottom.deriv())
-    zeros = np.concatenate([p.trim().roots() for p in (slope, bottom)])
-    real = zeros.real[np.abs(zeros.imag) < 1e-9 * np.maximum(1, np.abs(zeros.real))]
-    return float(real[real > 0].min(initial=np.inf))
-
-
-def undistort_image(
-    image: NDArray[np.generic], camera: Camera, *, interpolation: int = cv2.INTER_LINEAR
-) -> NDArray[np.generic]:
-    """The image (H, W[, C]) undistorted, as `camera.without_distortion()` would record it.
-
-    Use `cv2.INTER_NEAREST` for depth and masks, whose values must not be interpolated.
-
-    Raises:
-        ToolkitError: the image has another size than the camera.
-    """
-    if image.shape[:2] != (camera.height, camera.width):
-        raise ToolkitError(
-            f"image size differs from the camera's {camera.width}x{camera.height}",
-            value=image.shape[:2],
-        )
-    if not camera.is_distorted:
-        return image.copy()
-    if image.dtype == bool:
-        numbers = undistort_image(image.astype(np.uint8), camera, interpolation=interpolation)
-        return numbers.astype(bool)
-    maps = _undistortion_maps(camera)
-    return cv2.remap(image, *maps, interpolation=interpolation)  # type: ignore[arg-type]
-
-
-@lru_cache(maxsize=4)
-def _undistortion_maps(camera: Camera) -> tuple[Array, Array]:
-    """The source position of each pixel; cached: computing takes twice the time of a remap."""
-    # cv2.undistort keeps K and, like this module, puts pixel centres at integers.
-    distortion = np.array(camera.distortion)
-    return cv2.initUndistortRectifyMap(  # type: ignore[return-value]
-        camera.K, distortion, np.eye(3), camera.K, camera.size, cv2.CV_32FC1
-    )
 
 
 def unproject_depth(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from std_toolkit.importers.bop_documents import BopScene, CameraRow, count_rough
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.io.images import image_size
 from std_toolkit.options import ImportRequest
-from std_toolkit.scene.model import CameraModel, CameraPoses, FramePose, Material
+from std_toolkit.scene.model import CameraPoses, FramePose, Material
 from std_toolkit.scene.sidecar import ExportedFrame, Sidecar, find_sidecar
 
 _COLOR_FOLDERS = ("rgb", "gray")
@@ -123,13 +123,11 @@ def _depth_path(folder: Path, im_id: int) -> Path | None:
     return path if path.is_file() else None
 
 
-def _cameras(
-    scene: BopScene, sidecar: Sidecar | None
-) -> tuple[dict[str, CameraModel], dict[int, str]]:
+def _cameras(scene: BopScene, sidecar: Sidecar | None) -> tuple[dict[str, Camera], dict[int, str]]:
     """Distinct cameras by id, and the camera id of every image."""
     named = {} if sidecar is None else {f.id: f.camera for f in sidecar.frames}
     by_values: dict[tuple[str | float, ...], str] = {}
-    cameras: dict[str, CameraModel] = {}
+    cameras: dict[str, Camera] = {}
     camera_of: dict[int, str] = {}
     for im_id, row in sorted(scene.cameras.items()):
         size = image_size(_color_path(scene.folder, im_id))
@@ -138,14 +136,14 @@ def _cameras(
         if values not in by_values:
             key = named.get(im_id) or ("color" if not by_values else f"color_{len(by_values)}")
             by_values[values] = key
-            cameras[key] = _camera_model(scene.folder, im_id, size, row)
+            cameras[key] = _camera(scene.folder, im_id, size, row)
         camera_of[im_id] = by_values[values]
     return cameras, camera_of
 
 
-def _camera_model(folder: Path, im_id: int, size: tuple[int, int], row: CameraRow) -> CameraModel:
+def _camera(folder: Path, im_id: int, size: tuple[int, int], row: CameraRow) -> Camera:
     try:
-        return CameraModel.of(Camera(*size, *row.intrinsics))
+        return Camera(*size, *row.intrinsics)
     except ToolkitError as error:
         raise ToolkitError(
             error.problem,

@@ -14,7 +14,6 @@ from std_toolkit.importers import foreign_files, importer, intrinsics
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
-from std_toolkit.scene.model import CameraModel
 
 _COLOR = "-transparent-rgb-img"
 _DEPTH = "-transparent-depth-img.exr"
@@ -58,7 +57,7 @@ class ClearGraspImporter:
         )
         return importer.Recording(
             source="import:cleargrasp",
-            cameras={"color": CameraModel.of(camera)},
+            cameras={"color": camera},
             frames=tuple(
                 _frame(folder, check_name(k, path=folder), i, color[k], depth[k])
                 for i, k in enumerate(keys)

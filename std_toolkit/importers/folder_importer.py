@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 from std_toolkit import errors, log, options
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, natural_key
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import Intrinsics, parse_distortion, read_intrinsics
+from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.scene.document import safe_name
-from std_toolkit.scene.model import CameraModel
 
 # The unit of RealSense, Kinect and most data sets; `check_unit` detects other units.
 DEFAULT_DEPTH_SCALE = 0.001
@@ -110,16 +110,15 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
     return size
 
 
-def _camera(request: options.ImportRequest, size: tuple[int, int]) -> CameraModel:
+def _camera(request: options.ImportRequest, size: tuple[int, int]) -> Camera:
     if request.intrinsics is not None:
         given = request.intrinsics
         intrinsics = read_intrinsics(given, size=size)
     else:
         given = str(request.known.cameras)
         intrinsics = _filed_intrinsics(given)
-    if request.distortion is not None:
-        intrinsics = replace(intrinsics, distortion=parse_distortion(request.distortion))
-    return CameraModel.of(intrinsics.camera(size, path=given, off_centre=request.off_centre))
+    intrinsics = with_distortion(intrinsics, request.distortion)
+    return intrinsics.camera(size, path=given, off_centre=request.off_centre)
 
 
 def _filed_intrinsics(path: str) -> Intrinsics:
@@ -133,7 +132,7 @@ def _filed_intrinsics(path: str) -> Intrinsics:
             path=path,
             hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
         )
-    return Intrinsics(lens.fx, lens.fy, lens.cx, lens.cy, lens.distortion, lens.size)
+    return lens
 
 
 FOLDER = FolderImporter()

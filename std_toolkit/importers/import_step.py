@@ -2,42 +2,32 @@
 
 from __future__ import annotations
 
-import errno
-import os
-import shutil
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import cv2
+import msgspec
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.undistortion import Undistortion
 from std_toolkit.importers import foreign_files, importer
+from std_toolkit.importers.frame_files import WrittenFrame, write_frame
 from std_toolkit.importers.ros_importer import is_ros_recording
-from std_toolkit.io import atomic, exr, images
+from std_toolkit.io import atomic
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import ImportRequest, KnownCameras, LinkMode, PoseOptions
-from std_toolkit.scene import CameraModel, Frame, Frames, ObjectTable, Scene, SceneInfo
+from std_toolkit.scene import CameraModel, Frames, ObjectTable, Scene, SceneInfo
 from std_toolkit.scene.document import check_name, check_relative
+from std_toolkit.scene.model import RecordedLens
 
 # Below this number of frames, starting worker processes costs more than it saves.
 _SERIAL_BELOW = 48
 
 # Beyond the range of every RGB-D sensor.
 _FARTHEST_FRAME_M = 30.0
-
-
-@dataclass(frozen=True)
-class WrittenFrame:
-    """Result of one frame: its row, and the median of its measured depth in metres."""
-
-    frame: Frame
-    depth_median_m: float | None
-    has_depth: bool
 
 
 def write_recording(
@@ -48,23 +38,36 @@ def write_recording(
     link: LinkMode = "copy",
     options: JobOptions | None = None,
     known: KnownCameras | None = None,
+    undistort_fov: float | None = None,
 ) -> Scene:
     """Make the scene `out` from a recording.
+
+    Images of lenses that scenes do not keep, such as fisheyes, are undistorted to a pinhole of the
+    same size: colour bilinearly, depth by the nearest pixel.
 
     Args:
         name: name of the scene.
         link: "copy" images, or "hard"- or "sym"-link those that need no conversion.
         options: where the frames are processed.
         known: camera poses from elsewhere, which are checked and added.
+        undistort_fov: horizontal field of view of the pinhole, degrees, which undistorts other
+            lenses, too; None: see `Undistortion.of`.
 
     Raises:
         ToolkitError: an image is damaged or has the wrong size, depth is in another unit, or
             `out` exists. No files remain.
     """
     _check_frames(recording)
+    undistortions = _undistortions(recording, undistort_fov)
+    cameras = {
+        key: undistortions[key].camera if key in undistortions else camera
+        for key, camera in recording.cameras.items()
+    }
     info = SceneInfo(
         name=name,
-        cameras=recording.cameras,
+        cameras={key: CameraModel.of(camera) for key, camera in cameras.items()},
+        recorded_lenses={k: RecordedLens.of(u.recorded) for k, u in undistortions.items()}
+        or msgspec.UNSET,
         depth_scale=recording.depth_scale,
         depth_correction=recording.depth_correction,
         source=recording.source,
@@ -73,9 +76,10 @@ def write_recording(
         options = JobOptions(engine="serial")
     with atomic.new_folder(out) as staging:
         job = partial(
-            _write_frame,
+            write_frame,
             root=staging,
             cameras=recording.cameras,
+            undistortions=undistortions,
             depth_scale=recording.depth_scale,
             link=link,
         )
@@ -105,6 +109,30 @@ def write_recording(
     for note in recording.notes:
         logger.warning("%s", note)
     return Scene.open(out)
+
+
+def _undistortions(recording: importer.Recording, fov_deg: float | None) -> dict[str, Undistortion]:
+    """Undistortion of the images by camera id, for the cameras that need one.
+
+    Raises:
+        ToolkitError: no such pinhole, or maps of a ground truth that would have to be undistorted.
+    """
+    found = {
+        key: undistortion
+        for key, camera in recording.cameras.items()
+        if (undistortion := Undistortion.of(camera, fov_deg)) is not None
+    }
+    for frame in recording.frames:
+        if frame.camera in found and frame.reference:
+            raise ToolkitError(
+                "a recording with ground truth of its own cannot be undistorted",
+                path=frame.reference[0].source,
+                field=f"camera {frame.camera}",
+                value=recording.cameras[frame.camera].model,
+            )
+    for key, undistortion in found.items():
+        logger.info("camera %s: %s", key, undistortion)
+    return found
 
 
 def _add_known_poses(scene: Scene, known: KnownCameras, options: JobOptions | None) -> None:
@@ -139,125 +167,6 @@ def _check_frames(recording: importer.Recording) -> None:
         for file in (frame.color, frame.depth, *frame.reference):
             if file is not None:
                 check_relative(file.target, field=f"frames[{i}]")
-
-
-def _write_frame(
-    frame: importer.SourceFrame,
-    *,
-    root: Path,
-    cameras: dict[str, CameraModel],
-    depth_scale: float | None,
-    link: LinkMode,
-) -> WrittenFrame:
-    camera = cameras[frame.camera]
-    size = (camera.width, camera.height)
-    color = _write_color(frame.color, root, size, link)
-    depth = None
-    median: float | None = None
-    if frame.depth is not None:
-        depth, median = _write_depth(frame.depth, root, size, depth_scale, link)
-    for extra in frame.reference:
-        _write_reference(extra, root, size, link)
-    row = Frame(
-        id=frame.id,
-        name=frame.name,
-        color=color,
-        depth=depth,
-        camera=frame.camera,
-        timestamp=frame.timestamp,
-    )
-    return WrittenFrame(row, median, depth is not None)
-
-
-def _write_color(
-    file: importer.SourceFile, root: Path, size: tuple[int, int], link: LinkMode
-) -> str:
-    if file.resize:
-        target = file.target + ".png"
-        image = cv2.resize(images.read_color(file.source), size, interpolation=cv2.INTER_AREA)
-        images.write_color(root / target, image)  # type: ignore[arg-type]
-        return target
-    # Decode once, so that a damaged image is found now and not in a later step.
-    images.read_color(file.source, size=size)
-    target = file.target + file.source.suffix.lower()
-    _place(file.source, root / target, link)
-    return target
-
-
-def _write_depth(
-    file: importer.SourceFile,
-    root: Path,
-    size: tuple[int, int],
-    scene_scale: float | None,
-    link: LinkMode,
-) -> tuple[str, float | None]:
-    depth = foreign_files.read_foreign_depth(file.source, size=size)
-    values: Any = depth.values
-    unit = 1.0
-    if values.dtype == np.uint16:
-        if file.depth_scale is None:
-            raise ToolkitError(
-                "16-bit depth needs its unit", path=file.source, hint="give --depth-scale"
-            )
-        unit = file.depth_scale
-    measured = values[values > 0]
-    median = float(np.median(measured)) * unit if measured.size else None
-    if values.dtype == np.uint16 and unit == scene_scale:
-        target = file.target + ".png"
-        if depth.converted:
-            images.write_png(root / target, values)
-        else:
-            _place(file.source, root / target, link)
-    else:
-        # Another unit than the scene's would require rounding; EXR avoids it.
-        target = file.target + ".exr"
-        metres = values if unit == 1.0 else values.astype(np.float32) * np.float32(unit)
-        exr.write_exr(root / target, {"Y": metres})
-    return target, median
-
-
-def _write_reference(
-    file: importer.SourceFile, root: Path, size: tuple[int, int], link: LinkMode
-) -> None:
-    target = root / (file.target + file.source.suffix.lower())
-    if file.kind == "color":
-        _write_color(file, root, size, link)
-    elif file.kind == "depth":
-        own = size if file.same_size else images.image_size(file.source)
-        depth = foreign_files.read_foreign_depth(file.source, size=own)
-        metres = depth.values
-        if metres.dtype == np.uint16:
-            metres = metres.astype(np.float32) * np.float32(file.depth_scale or 0.001)
-        exr.write_exr(target.with_suffix(".exr"), {"Y": metres})
-    elif file.kind == "mask":
-        mask = foreign_files.read_mask_source(file.source, size=size if file.same_size else None)
-        if file.binary:
-            mask = (mask > 0).astype(np.uint8)
-        if file.background is not None:
-            mask = np.where(mask == file.background, np.zeros((), mask.dtype), mask)
-        images.write_png(target.with_suffix(".png"), mask)
-    else:
-        if file.source.suffix.lower() == ".png":
-            images.read_png(file.source, size=size if file.same_size else None)
-        _place(file.source, target, link)
-
-
-def _place(source: Path, target: Path, link: LinkMode) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    source = source.resolve()
-    if link == "hard":
-        try:
-            target.hardlink_to(source)
-        except OSError as error:
-            if error.errno not in (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EACCES):
-                raise
-            target.symlink_to(source)
-    elif link == "sym":
-        target.symlink_to(source)
-    else:
-        shutil.copyfile(source, target)
-        with target.open("rb") as file:
-            os.fsync(file.fileno())
 
 
 def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]) -> None:
@@ -336,5 +245,11 @@ def import_recording(
             request, link = replace(request, workspace=workspace), "hard"
         recording = importer.IMPORTERS.get(format_name).read(request)
         return write_recording(
-            recording, out, name=request.name, link=link, options=options, known=request.known
+            recording,
+            out,
+            name=request.name,
+            link=link,
+            options=options,
+            known=request.known,
+            undistort_fov=request.undistort_fov,
         )

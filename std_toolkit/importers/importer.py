@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit import errors, options, plugins
-from std_toolkit.scene.model import CameraModel, CameraPoses, Labels, Model, Object
+from std_toolkit.scene.model import CameraPoses, Labels, Model, Object
 
 if TYPE_CHECKING:
     import trimesh
+
+    from std_toolkit.geometry.camera import Camera
 
 FileKind = Literal["color", "depth", "mask", "map"]
 
@@ -83,11 +85,13 @@ class Recording:
 
     Attributes:
         source: format name for `SceneInfo.source`.
+        cameras: of the images as recorded; those of lenses that a scene does not keep are
+            undistorted by the writer.
         depth_scale: metres per unit of 16-bit depth in the scene; None if all depth is EXR.
     """
 
     source: str
-    cameras: dict[str, CameraModel]
+    cameras: dict[str, Camera]
     frames: tuple[SourceFrame, ...]
     depth_scale: float | None = None
     depth_correction: float = 1.0

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.intrinsics import (
+    Intrinsics,
+    listed_coefficients,
+    model_of_file,
+    named_lens,
+)
 from std_toolkit.io.foreign_files import read_json
 
 _LARGEST_FILE = 1024 * 1024
 # A key of YAML at the beginning of a line.
 _KEY = re.compile(r"([ \t-]*)([A-Za-z_]\w*)[ \t]*:")
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-# Largest distance of the principal point of an uncropped image from its centre, as a fraction of
-# the image. Half-size intrinsics put it at a quarter, those of a 4:3 image on 16:9 at two thirds.
-_OFF_CENTRE = 0.15
 _MATRIX_KEYS = ("K", "cam_K", "camera_matrix", "intrinsic_matrix", "intrinsics", "INTRINSICS")
 _SCALAR_KEYS = {
     "fx": ("fx", "Fx", "fl_x", "focal_x"),
@@ -27,55 +29,10 @@ _SCALAR_KEYS = {
     "cy": ("cy", "ppy", "PPY", "principal_y"),
 }
 _DISTORTION_KEYS = (
-    "distortion", "distortion_coefficients", "coeffs", "Coeffs", "dist_coeffs", "dist", "D",
+    "distortion", "distortion_coefficients", "coeffs", "Coeffs", "dist_coeffs", "dist_coeff",
+    "distCoeffs", "distortion_coeffs", "dist", "D",
 )  # fmt: skip
 _SIZE_KEYS = (("width", "w", "xres", "image_width"), ("height", "h", "yres", "image_height"))
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """Intrinsics as read; pixels, centre of the top-left pixel at (0, 0).
-
-    Attributes:
-        size: (width, height) if the source has it.
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = ()
-    size: tuple[int, int] | None = None
-
-    def camera(self, size: tuple[int, int], *, path: str, off_centre: bool = False) -> Camera:
-        """The camera for images of `size`.
-
-        Raises:
-            ToolkitError: the intrinsics belong to another size.
-        """
-        shown = f"{size[0]}x{size[1]}"
-        if self.size is not None and self.size != size:
-            raise ToolkitError(
-                f"intrinsics are for {self.size[0]}x{self.size[1]} images, these are {shown}",
-                path=path,
-                hint="give the intrinsics for this image size",
-            )
-        try:
-            camera = Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion)
-        except ToolkitError as error:
-            raise ToolkitError(
-                error.problem, path=path, field=error.field, value=error.value, hint=error.hint
-            ) from error
-        for name, value, extent in (("cx", self.cx, size[0]), ("cy", self.cy, size[1])):
-            if not off_centre and abs((value + 0.5) / extent - 0.5) > _OFF_CENTRE:
-                raise ToolkitError(
-                    f"does not fit {shown} images: the centre is at {(extent - 1) / 2:g}",
-                    path=path,
-                    field=name,
-                    value=value,
-                    hint="intrinsics of another image size? for cropped images give --off-centre",
-                )
-        return camera
 
 
 def read_intrinsics(text: str, *, size: tuple[int, int] | None = None) -> Intrinsics:
@@ -142,12 +99,23 @@ def parse_distortion(text: str) -> tuple[float, ...]:
         ) from error
 
 
+def with_distortion(intrinsics: Intrinsics, text: str | None) -> Intrinsics:
+    """The intrinsics with the coefficients of --distortion, if they are given.
+
+    Raises:
+        ToolkitError: not numbers.
+    """
+    if text is None:
+        return intrinsics
+    return replace(intrinsics, distortion=parse_distortion(text), model="opencv")
+
+
 def _from_mapping(data: dict[str, Any], path: Path) -> Intrinsics:
     for section in ("color", "colour", "rgb", "intrinsics", "camera", "color_intrinsics"):
         inner = data.get(section)
         if isinstance(inner, dict) and not any(k in data for k in ("K", "fx", "cam_K")):
             return _from_mapping(inner, path)
-    distortion = _distortion(data, path)
+    model, distortion = _lens(data, path)
     size = _size(data, path)
     for key in _MATRIX_KEYS:
         if key in data:
@@ -156,7 +124,7 @@ def _from_mapping(data: dict[str, Any], path: Path) -> Intrinsics:
                 # Open3D writes its matrix column-major.
                 values = [values[i] for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
             found = _from_matrix(values, path, key)
-            return Intrinsics(found.fx, found.fy, found.cx, found.cy, distortion, size)
+            return replace(found, distortion=distortion, size=size, model=model)
     scalars = []
     for name, aliases in _SCALAR_KEYS.items():
         alias = next((a for a in aliases if a in data), None)
@@ -166,7 +134,9 @@ def _from_mapping(data: dict[str, Any], path: Path) -> Intrinsics:
             )
         scalars.append(_number(data[alias], path, alias))
     fx, fy, cx, cy = scalars
-    return Intrinsics(fx, fy, cx, cy, distortion, size)
+    if "fl_x" in data:  # as in transforms.json, pixels count from the corner of the first one
+        cx, cy = cx - 0.5, cy - 0.5
+    return Intrinsics(fx, fy, cx, cy, distortion, size, model)
 
 
 def _from_matrix(values: list[float], path: Path, field: str) -> Intrinsics:
@@ -186,27 +156,21 @@ def _from_matrix(values: list[float], path: Path, field: str) -> Intrinsics:
     return Intrinsics(K[0][0], K[1][1], K[0][2], K[1][2])
 
 
-def _distortion(data: dict[str, Any], path: Path) -> tuple[float, ...]:
+def _lens(data: dict[str, Any], path: Path) -> tuple[str, tuple[float, ...]]:
+    """Lens model and its coefficients."""
     key = next((k for k in _DISTORTION_KEYS if k in data), None)
-    if key is not None:
+    try:
+        if key is None:
+            return named_lens(data, lambda value: _number(value, path, "k1..k6"))
         values = _flatten(data[key], path, key)
-    else:
-        named = [data.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")]
-        values = [_number(v, path, "k1..k3") for v in named]
-    if not any(values):
-        return ()
-    model = str(data.get("model", data.get("distortion_model", ""))).lower()
-    if any(word in model for word in ("inverse", "fisheye", "equidistant", "kannala", "f-theta")):
+        model = model_of_file(data, has_coefficients=any(values))
+        if model == "opencv" and not any(values):
+            return model, ()
+        return model, listed_coefficients(values, model)
+    except ToolkitError as error:
         raise ToolkitError(
-            "this distortion model differs from that of OpenCV",
-            path=path,
-            value=model,
-            hint="undistort the images first, or give --distortion k1,k2,p1,p2,k3",
-        )
-    while len(values) > 5 and len(values) != 8:
-        if values.pop():
-            raise ToolkitError("too many distortion coefficients", path=path, field=key)
-    return tuple(values)
+            error.problem, path=path, field=error.field or key, value=error.value, hint=error.hint
+        ) from error
 
 
 def _size(data: dict[str, Any], path: Path) -> tuple[int, int] | None:

@@ -10,7 +10,6 @@ from std_toolkit.importers import foreign_files, importer, intrinsics, sidecar_r
 from std_toolkit.io.images import image_size
 from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
-from std_toolkit.scene.model import CameraModel
 from std_toolkit.scene.sidecar import SIDECAR_NAME, find_sidecar
 
 DEPTH_SCALE = 0.001
@@ -64,7 +63,7 @@ class NocsImporter:
         frames = tuple(_frame(folder, stem, i) for i, stem in enumerate(stems))
         return importer.Recording(
             source="import:nocs",
-            cameras={"color": CameraModel.of(camera)},
+            cameras={"color": camera},
             frames=frames,
             depth_scale=DEPTH_SCALE,
             depth_correction=request.depth_correction,

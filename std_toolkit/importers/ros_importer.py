@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from std_toolkit.errors import ToolkitError, missing_extra
+from std_toolkit.geometry.intrinsics import Intrinsics, listed_coefficients, model_of_file
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import Intrinsics, parse_distortion, read_intrinsics
+from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
 from std_toolkit.importers.ros_images import (
     COLOR_ENCODINGS,
     DEPTH_ENCODINGS,
@@ -27,9 +28,9 @@ from std_toolkit.importers.ros_images import (
     write_image,
 )
 from std_toolkit.log import logger
-from std_toolkit.scene.model import CameraModel
 
 if TYPE_CHECKING:
+    from std_toolkit.geometry.camera import Camera
     from std_toolkit.options import ImportRequest
 
 _FILES = (".mcap", ".db3", ".bag")
@@ -273,19 +274,15 @@ def _check_aligned(color: ImageTopic, depth: ImageTopic, request: ImportRequest)
         )
 
 
-def _camera(reader: Any, color: ImageTopic, request: ImportRequest) -> CameraModel:
+def _camera(reader: Any, color: ImageTopic, request: ImportRequest) -> Camera:
     size = color.first.decoded_size(request.source)
     given = request.intrinsics
     if given is not None:
         intrinsics = read_intrinsics(given, size=size)
     else:
         intrinsics, given = _camera_info(reader, color, request.source)
-    if request.distortion is not None:
-        distortion = parse_distortion(request.distortion)
-        intrinsics = Intrinsics(
-            intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, distortion, intrinsics.size
-        )
-    return CameraModel.of(intrinsics.camera(size, path=given, off_centre=request.off_centre))
+    intrinsics = with_distortion(intrinsics, request.distortion)
+    return intrinsics.camera(size, path=given, off_centre=request.off_centre)
 
 
 def _camera_info(reader: Any, color: ImageTopic, source: Path) -> tuple[Intrinsics, str]:
@@ -308,25 +305,29 @@ def _camera_info(reader: Any, color: ImageTopic, source: Path) -> tuple[Intrinsi
 def _intrinsics_of(info: Any, color: ImageTopic, source: Path, topic: str) -> Intrinsics:
     k = np.asarray(getattr(info, "k", getattr(info, "K", None)), float).reshape(3, 3)
     d = [float(x) for x in getattr(info, "d", getattr(info, "D", ()))]
-    if "rect" in color.base.rpartition("/")[2]:  # its lens is corrected: image_rect_color
+    if is_rectified := "rect" in color.base.rpartition("/")[2]:  # image_rect_color
         k = np.asarray(getattr(info, "p", getattr(info, "P", None)), float).reshape(3, 4)[:, :3]
         d = []
-    if any(d) and info.distortion_model not in ("plumb_bob", "rational_polynomial"):
+    try:
+        stated = {} if is_rectified else {"distortion_model": info.distortion_model}
+        model = model_of_file(stated, has_coefficients=any(d))
+    except ToolkitError as error:
         raise ToolkitError(
             "a lens model that is not supported",
             path=source,
             field=topic,
             value=info.distortion_model,
             hint="record the rectified images (image_rect_color)",
-        )
+        ) from error
     size = (int(info.width), int(info.height))
     return Intrinsics(
         float(k[0, 0]),
         float(k[1, 1]),
         float(k[0, 2]),
         float(k[1, 2]),
-        tuple(d) if any(d) else (),
+        () if model == "opencv" and not any(d) else listed_coefficients(d, model),
         size if all(size) else None,
+        model,
     )
 
 

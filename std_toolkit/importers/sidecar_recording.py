@@ -43,7 +43,7 @@ def recording_from_sidecar(
     has_depth = any(f.depth is not None for f in frames)
     return Recording(
         source=f"import:{sidecar.layout}",
-        cameras=sidecar.scene.cameras,
+        cameras={key: model.camera() for key, model in sidecar.scene.cameras.items()},
         frames=tuple(frames),
         # The exported depth already includes the correction factor.
         depth_scale=depth_scale if has_depth else None,

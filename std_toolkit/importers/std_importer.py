@@ -24,7 +24,6 @@ from std_toolkit.importers import (
 from std_toolkit.io.images import image_size
 from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
-from std_toolkit.scene.model import CameraModel
 from std_toolkit.scene.sidecar import find_sidecar
 
 
@@ -104,7 +103,7 @@ class StdImporter:
         )
         return importer.Recording(
             source=f"import:{self.layout.name}",
-            cameras={"color": CameraModel.of(camera)},
+            cameras={"color": camera},
             frames=frames,
             depth_correction=request.depth_correction,
             models=objects.models,

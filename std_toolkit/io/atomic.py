@@ -114,17 +114,8 @@ def new_folder(out: Path) -> Iterator[Path]:
     """
     out = out.absolute()
     check_vacant(out)
-    made = _make_parents(out.parent)
+    staging, descriptor, made = _beside(out)
     try:
-        _sweep(out)
-        staging = out.with_name(f".{out.name}.{secrets.token_hex(6)}.tmp")
-        staging.mkdir()
-    except OSError as error:
-        _remove_parents(made)
-        raise ToolkitError(f"cannot write here: {error.strerror}", path=out.parent) from error
-    descriptor = os.open(staging, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield staging
         try:
             staging.rename(out)
@@ -148,22 +139,14 @@ def new_folder(out: Path) -> Iterator[Path]:
 def temporary_folder(out: Path) -> Iterator[Path]:
     """A folder beside `out` for intermediate files, removed when the block ends.
 
-    What a killed process left is removed by the next `new_folder` of the same `out`.
+    What a killed process left is removed by the next folder beside the same `out`.
 
     Raises:
         ToolkitError: it cannot be written.
     """
     out = out.absolute()
-    made = _make_parents(out.parent)
-    folder = out.with_name(f".{out.name}.{secrets.token_hex(6)}.tmp")
+    folder, descriptor, made = _beside(out)
     try:
-        folder.mkdir()
-    except OSError as error:
-        _remove_parents(made)
-        raise ToolkitError(f"cannot write here: {error.strerror}", path=out.parent) from error
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -188,19 +171,44 @@ def check_vacant(out: Path) -> None:
         raise ToolkitError("the folder is not empty", path=out, hint="choose another --out")
 
 
-def _sweep(out: Path) -> None:
-    pattern = re.compile(rf"^\.{re.escape(out.name)}\.[0-9a-f]{{12}}\.tmp$")
-    for left in out.parent.iterdir():
-        if not (pattern.match(left.name) and left.is_dir() and not left.is_symlink()):
+def _beside(out: Path) -> tuple[Path, int, list[Path]]:
+    """A locked folder beside `out`, the descriptor of its lock, and the parents made for it."""
+    made = _make_parents(out.parent)
+    try:
+        remove_unfinished(out.parent, rf"\.{re.escape(out.name)}\.[0-9a-f]{{12}}\.tmp")
+        folder = out.with_name(f".{out.name}.{secrets.token_hex(6)}.tmp")
+        folder.mkdir()
+    except OSError as error:
+        _remove_parents(made)
+        raise ToolkitError(f"cannot write here: {error.strerror}", path=out.parent) from error
+    descriptor = os.open(folder, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return folder, descriptor, made
+
+
+def remove_unfinished(parent: Path, pattern: str) -> None:
+    """Remove the folders of killed processes; those of running ones are locked and stay.
+
+    Args:
+        parent: folder that contains them; nothing happens if it does not exist.
+        pattern: regular expression of their names.
+    """
+    try:
+        found = list(parent.iterdir())
+    except FileNotFoundError:  # also removed by another process
+        return
+    for left in found:
+        if not (re.fullmatch(pattern, left.name) and left.is_dir() and not left.is_symlink()):
             continue
-        descriptor = os.open(left, os.O_RDONLY)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(left, ignore_errors=True)
-        except BlockingIOError:
-            continue  # another import to this path is running; the rename decides
-        finally:
-            os.close(descriptor)
+        with suppress(FileNotFoundError):
+            descriptor = os.open(left, os.O_RDONLY)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(left, ignore_errors=True)
+            except BlockingIOError:
+                continue  # another process writes the same folder; the rename decides
+            finally:
+                os.close(descriptor)
 
 
 def _make_parents(folder: Path) -> list[Path]:

@@ -1,19 +1,22 @@
-"""JSON documents: strict, typed, one-line errors that name the field."""
+"""JSON documents: strict, typed, one-line errors that name the field. Digests of content."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
+from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.settings import changed
 
 T = TypeVar("T")
 
@@ -99,30 +102,39 @@ def write_document(path: Path | str, document: Any) -> None:
     write_bytes_atomic(path, document_bytes(document, path=path))
 
 
-def begin_folder(path: Path, document: T, *, hint: str, beside: Sequence[str] = ()) -> T:
-    """Read the document that identifies a folder of results, or write it in a new folder.
-
-    Args:
-        path: path of the document.
-        document: document for a new folder.
-        hint: hint for a folder that has other content.
-        beside: names of files that may already exist.
-
-    Returns:
-        The document in the folder, for the caller to compare with its own.
+def digest_file(path: Path) -> str:
+    """Return the hex digest of the content of a file.
 
     Raises:
-        ToolkitError: the folder contains files, except hidden ones, but not this document; or it
-            cannot be read or written.
+        ToolkitError: it is not a regular file (a pipe or device could block or never end).
     """
-    if path.exists():
-        return read_document(path, type(document))
-    if any(p.name[0] != "." and p.name not in beside for p in path.parent.iterdir()):
-        raise ToolkitError(
-            f"the folder contains files but no {path.name}", path=path.parent, hint=hint
-        )
-    write_document(path, document)
-    return document
+    if not path.is_file():
+        problem = "is not a regular file" if path.exists() else "file not found"
+        raise ToolkitError(problem, path=path)
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def digest_files(root: Path, paths: Iterable[Path]) -> dict[str, str]:
+    """Return the digest of each file by its path relative to `root`; "" if there is no file."""
+    return {
+        path.relative_to(root).as_posix(): digest_file(path) if path.is_file() else ""
+        for path in paths
+    }
+
+
+def digest_of(*parts: Any, versioned: bool = True) -> str:
+    """Return the hex digest of plain values and documents.
+
+    Numbers must be finite: JSON encodes NaN as null, so different inputs would have one digest.
+
+    Args:
+        parts: the values.
+        versioned: include the version of the toolkit, and its limits that differ from the defaults.
+    """
+    tool = [__version__, changed()] if versioned else []
+    encoded = msgspec.json.encode([tool, *parts], order="sorted")
+    return hashlib.blake2b(encoded, digest_size=16).hexdigest()
 
 
 def _join_number_lists(text: str) -> str:

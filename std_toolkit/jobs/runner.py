@@ -37,6 +37,7 @@ from std_toolkit.jobs.options import (
     worker_died,
 )
 from std_toolkit.log import logger
+from std_toolkit.settings import in_force, use
 
 Call = Callable[[Any], Outcome[Any]]
 
@@ -171,12 +172,14 @@ def _duration(seconds: float) -> str:
 
 
 class _Guarded(Generic[Item, Result]):
-    """`fn` with its exceptions turned into outcomes, which can be sent between processes."""
+    """`fn` under the present limits, its exceptions turned into outcomes; can be pickled."""
 
     def __init__(self, fn: Callable[[Item], Result]) -> None:
         self.fn = fn
+        self.limits = in_force()
 
     def __call__(self, item: Item) -> Outcome[Result]:
+        use(self.limits)
         try:
             return Outcome(result=self.fn(item))
         except (KeyboardInterrupt, GeneratorExit):
@@ -303,12 +306,16 @@ def _prepare_worker(width: int) -> None:
     threads = str(max(1, usable_cores() // width))
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(variable, threads)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    die_with_parent()
 
 
-def _die_with_parent() -> None:
-    # A worker of a killed parent would otherwise wait for work forever.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)
+def die_with_parent() -> None:
+    """End this worker process when its parent ends; it would otherwise wait for work forever."""
+
+    def wait_for_end() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            connection.wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=wait_for_end, daemon=True).start()

@@ -30,17 +30,27 @@ from std_toolkit.labels.refine.problem import (
 )
 from std_toolkit.labels.texture.comparison import TextureComparison, compare_texture
 from std_toolkit.scene.scene import Scene
+from std_toolkit.settings import Settings, limit
 
 Method = Literal["auto", "depth", "multiview"]
 
-# With fewer views, the sensor depth factor cannot be separated from the distance.
-_VIEWS_AROUND = 3
 # Search radius around the contour for edges, pixels: after alignment by depth, or by hand.
 _NEAR_PX, _FAR_PX = 24.0, 48.0
 # Fraction of the time after which only textures are compared.
 _COMPARED = 0.92
 # Time for an object without depth, in units of one with depth.
 _SEARCHED = 2.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoRefineSettings(Settings):
+    """Which measurements refine an object."""
+
+    views_around: int = limit(
+        3,
+        source="with fewer, the sensor depth factor cannot be separated from the distance",
+    )
+    """views from which edges and depth are used together"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +177,7 @@ class _Run:
 
     def go(self, chosen: Sequence[int]) -> None:
         by_depth = [i for i in chosen if self._uses_depth(i)]
-        around = len(self._problem.views) >= _VIEWS_AROUND
+        around = len(self._problem.views) >= AutoRefineSettings.current().views_around
         left = [i for i in chosen if i not in by_depth]
         # Depth takes about as long as the edges, and a search much longer.
         each = 1.0 if not around else 0.5

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +16,24 @@ from std_toolkit.poses.known_points import KnownView, fit_body, scale_from_known
 from std_toolkit.poses.scale_sources import ScaleContext
 from std_toolkit.scene.model import Label, Object, ScaleEstimate, pose_from_list
 from std_toolkit.scene.scale_model import mesh_deviation
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-MIN_ANGLE_DEG = 15.0
-GOOD_ANGLE_DEG = 60.0
 _POINTS = 60
-# Annotations are off by 1-2 % along the line of sight; a larger correction means wrong edges.
-MAX_EDGE_CORRECTION = 0.03
+
+
+@dataclass(frozen=True, kw_only=True)
+class CadScaleSettings(Settings):
+    """When annotations of a CAD model in several frames give a scale."""
+
+    smallest_angle_deg: float = limit(15.0, unit="deg", source=NOT_RECORDED)
+    """frames under a smaller angle are refused"""
+    good_angle_deg: float = limit(60.0, unit="deg", source=NOT_RECORDED)
+    """frames under a smaller angle bring a warning"""
+    largest_correction: float = limit(
+        0.03,
+        source="annotations are off by 1-2 % along the line of sight",
+    )
+    """a larger change of the scale by edges is due to wrong edges"""
 
 
 class CadScale:
@@ -56,24 +70,25 @@ class CadScale:
     def _from_label(
         self, context: ScaleContext, label: Label, poses: dict[int, SE3]
     ) -> ScaleEstimate:
+        limits = CadScaleSettings.current()
         scene = context.scene
         obj = scene.objects.object(label.object)
         vertices = _spread(hull_vertices(scene.mesh(obj.model)), _POINTS)
         angle = _largest_angle(poses)
-        if angle < MIN_ANGLE_DEG:
+        if angle < limits.smallest_angle_deg:
             raise ToolkitError(
                 f"object {obj.name!r}: its annotated frames are {angle:.0f} degrees apart, "
                 "too close to determine the scale",
                 path=scene.root / "labels.json",
-                hint=f"annotate it in frames at least {GOOD_ANGLE_DEG:.0f} degrees apart",
+                hint=f"annotate it in frames at least {limits.good_angle_deg:.0f} degrees apart",
             )
-        if angle < GOOD_ANGLE_DEG:
+        if angle < limits.good_angle_deg:
             logger.warning(
                 "object %r is annotated in frames only %.0f degrees apart; the scale from its "
                 "size is more accurate from %.0f degrees",
                 obj.name,
                 angle,
-                GOOD_ANGLE_DEG,
+                limits.good_angle_deg,
             )
         views = []
         for frame_id, T_cam_obj in sorted(poses.items()):
@@ -143,7 +158,7 @@ def _sharpen(
             "object %r: the scale from edges did not settle; annotations are used", obj.name
         )
         return annotated
-    if abs(refined.scale - 1) > MAX_EDGE_CORRECTION:
+    if abs(refined.scale - 1) > CadScaleSettings.current().largest_correction:
         logger.warning(
             "object %r: scale from edges and from annotations differ by %.1f %%; the annotations "
             "are used; check the annotations and the mesh",

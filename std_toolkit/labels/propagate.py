@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -20,9 +21,10 @@ from std_toolkit.geometry.mesh import hull_vertices
 from std_toolkit.geometry.se3 import SE3, skew
 from std_toolkit.geometry.symmetry import Symmetry, mssd, nearest_variant
 from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.documents import digest_file, digest_of
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.options import PropagateOptions
-from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import Label, Labels, annotated_views, without_derived
 from std_toolkit.scene.scene import Scene, require_metres
 
@@ -53,8 +55,7 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
         require_metres(scene)
         chosen = _chosen_labels(scene, options)
         files = _file_digests(scene, options)
-        if is_fresh(scene.root, STEP, _digest(scene, chosen, options, files)):
-            logger.info("propagate: up to date")
+        if _artefact(scene, chosen, options, files).is_kept():
             return scene.labels
         placed = {x.object: place_label(scene, x) for x in chosen}
         lost = [x.object for x in placed.values() if x.T_world_obj is None]
@@ -75,14 +76,9 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
         labels = Labels(labels=[placed.get(x.object, x) for x in scene.labels.labels])
         with scale:
             scene.save_labels(labels)
-            write_record(
-                scene.root,
-                STEP,
-                # The camera poses may have a new scale; the files are those that were read.
-                _digest(scene, chosen, options, files),
-                outputs=[scene.root / "labels.json"],
-                parameters=_parameters(options),
-            )
+            # The camera poses may have a new scale; the files are those that were read.
+            made = _artefact(scene, chosen, options, files)
+            made.write([scene.root / "labels.json"])
     return labels
 
 
@@ -172,34 +168,31 @@ def _chosen_labels(scene: Scene, options: PropagateOptions) -> list[Label]:
     return chosen
 
 
-def _file_digests(scene: Scene, options: PropagateOptions) -> list[list[str]]:
+def _file_digests(scene: Scene, options: PropagateOptions) -> dict[str, str]:
     """Digests of the images and of the meshes that a propagation reads."""
-    images: list[str] = []
-    if options.refine:
-        # All frames: the selection of keyframes depends on them.
-        for frame in scene.registered_frames():
-            images.append(digest_file(scene.color_path(frame)))
-            if frame.depth is not None and options.use_depth:
-                images.append(digest_file(scene.root / frame.depth))
-    return [images, [digest_file(scene.mesh_path(model)) for model in scene.objects.models]]
+    images: list[Path] = []
+    # All frames: the selection of keyframes depends on them.
+    for frame in scene.registered_frames() if options.refine else []:
+        images.append(scene.color_path(frame))
+        if frame.depth is not None and options.use_depth:
+            images.append(scene.root / frame.depth)
+    meshes = [scene.mesh_path(model) for model in scene.objects.models]
+    return {
+        name: digest_of([digest_file(path) for path in paths])
+        for name, paths in (("images", images), ("meshes", meshes))
+    }
 
 
-def _digest(
-    scene: Scene, chosen: list[Label], options: PropagateOptions, files: list[list[str]]
-) -> str:
-    return digest_of(
-        [without_derived(x) for x in chosen],
-        scene.objects,
-        scene.info,
-        scene.frame_table,
-        scene.poses,
-        *files,
-        _parameters(options),
-    )
-
-
-def _parameters(options: PropagateOptions) -> dict[str, Any]:
-    return {name: getattr(options, name) for name in options.__dataclass_fields__}
+def _artefact(
+    scene: Scene, chosen: list[Label], options: PropagateOptions, files: dict[str, str]
+) -> Artefact:
+    inputs = files | {
+        "annotations": digest_of([without_derived(x) for x in chosen]),
+        "objects": digest_of(scene.objects),
+        "cameras": digest_of(scene.info, scene.frame_table),
+        "camera poses": digest_of(scene.poses),
+    }
+    return Artefact(scene.root, STEP, inputs, vars(options))
 
 
 @dataclass(frozen=True, eq=False)

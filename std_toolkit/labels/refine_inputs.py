@@ -21,6 +21,7 @@ from std_toolkit.labels.refine_step import (
     texture_surface,
 )
 from std_toolkit.scene.scene import Scene, require_metres
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     import trimesh
@@ -34,10 +35,18 @@ NOT_CONVERGED = (
 )
 
 
-# Edges scatter by one or two pixels around a correct contour.
-_LOOSE_PX = 4.0
+@dataclass(frozen=True, kw_only=True)
+class RefineReportSettings(Settings):
+    """Fits that are reported as doubtful."""
 
-_LITTLE_EXPLAINED = 0.5
+    loose_px: float = limit(
+        4.0,
+        unit="px",
+        source="edges scatter by one or two pixels around a correct contour",
+    )
+    """a larger distance of the edges is reported"""
+    little_explained: float = limit(0.5, source=NOT_RECORDED)
+    """a smaller fraction of explained readings is reported"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +210,7 @@ def quality_warnings(
         obj: the object at its refined pose.
         covariance: (6, 6) of a right perturbation.
     """
+    limits = RefineReportSettings.current()
     found = []
     if len(problem.views) == 1 and depth_m is None:
         along = _std_along_ray(problem, obj, covariance)
@@ -208,12 +218,12 @@ def quality_warnings(
             f"one view without depth: the distance to the camera is weak (about "
             f"{1000 * along:.0f} mm); check it in another frame or on the table"
         )
-    if edge_rms_px is not None and edge_rms_px > _LOOSE_PX:
+    if edge_rms_px is not None and edge_rms_px > limits.loose_px:
         found.append(
             f"the edges scatter by {edge_rms_px:.1f} px around the contour; are the mesh and "
             "the initial pose right?"
         )
-    if explained is not None and explained < _LITTLE_EXPLAINED:
+    if explained is not None and explained < limits.little_explained:
         found.append(
             f"only {100 * explained:.0f} % of the sensor depth on it agrees with the mesh; is it "
             "opaque, and the mesh the right one?"

@@ -19,10 +19,19 @@ from std_toolkit.poses.known_points import KnownView, scale_from_known_points
 from std_toolkit.poses.scale_sources import ScaleContext
 from std_toolkit.poses.tag_edges import edge_corners
 from std_toolkit.scene.model import ScaleEstimate
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 MAX_FRAMES = 60
-MIN_CORNERS = 8
-MIN_FRAMES = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardSettings(Settings):
+    """Frames and corners from which a board gives the scale."""
+
+    fewest_corners: int = limit(8, source=NOT_RECORDED)
+    """a frame counts with at least this many corners of the board"""
+    fewest_frames: int = limit(3, source=NOT_RECORDED)
+    """a board gives a scale with at least this many frames"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +105,7 @@ class BoardScale:
         return context.board is not None
 
     def estimate(self, context: ScaleContext) -> ScaleEstimate:
+        limits = BoardSettings.current()
         if context.board is None:
             raise ToolkitError(
                 "no board is described",
@@ -113,7 +123,7 @@ class BoardScale:
         views = []
         for frame, path in zip(chosen, paths, strict=True):
             found = report.results[path]
-            if len(found.ids) >= MIN_CORNERS:
+            if len(found.ids) >= limits.fewest_corners:
                 views.append(
                     KnownView(
                         T_cam_world=context.poses[frame.id],
@@ -123,10 +133,10 @@ class BoardScale:
                         uv=found.uv,
                     )
                 )
-        if len(views) < MIN_FRAMES:
+        if len(views) < limits.fewest_frames:
             raise ToolkitError(
                 f"the board was detected in {len(views)} of {len(chosen)} registered frames, "
-                f"{MIN_FRAMES} are needed",
+                f"{limits.fewest_frames} are needed",
                 path=context.board,
                 hint="check that the file describes this board and names its marker dictionary",
             )

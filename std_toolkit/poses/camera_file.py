@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.geometry.intrinsics import Intrinsics, named_lens
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.foreign_files import read_npy
-from std_toolkit.poses.camera_table import FiledCameras, Lens, as_matrix, read_table
+from std_toolkit.poses.camera_table import FiledCameras, as_matrix, read_table
 
 # Keys of a JSON matrix, with the direction that the name states, if it states one.
 _MATRIX_KEYS = {
@@ -134,9 +135,9 @@ class _Rows:
     path: Path
     keys: list[str] = field(default_factory=list)
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
-    lenses: list[Lens | None] = field(default_factory=list)
+    lenses: list[Intrinsics | None] = field(default_factory=list)
 
-    def add(self, key: str, value: Any, at: str, lens: Lens | None = None) -> None:
+    def add(self, key: str, value: Any, at: str, lens: Intrinsics | None = None) -> None:
         self.keys.append(key)
         self.matrices.append(as_matrix(value, self.path, at))
         self.lenses.append(lens)
@@ -226,22 +227,28 @@ def _read_transforms(path: Path, document: Mapping[str, Any]) -> FiledCameras:
     return found.filed("transforms", convention="camera-to-world-opengl", unit_is_open=True)
 
 
-def _transforms_lens(path: Path, row: Mapping[str, Any], i: int) -> Lens | None:
+def _transforms_lens(path: Path, row: Mapping[str, Any], i: int) -> Intrinsics | None:
     if "fl_x" not in row:
         return None
     try:
         size = (int(row["w"]), int(row["h"])) if "w" in row and "h" in row else None
-        k = [float(row.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3")]
-        k = k if k[4] else k[:4]
+        model, k = named_lens(row, float)
+        if model == "opencv" and k[4:] == (0.0,):
+            k = k[:4]
         # The principal point starts at the corner of the first pixel.
-        return Lens(
+        return Intrinsics(
             fx=float(row["fl_x"]),
             fy=float(row.get("fl_y", row["fl_x"])),
             cx=float(row["cx"]) - 0.5,
             cy=float(row["cy"]) - 0.5,
-            distortion=tuple(k) if any(k) else (),
+            distortion=k,
             size=size,
+            model=model,
         )
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem, path=path, field=error.field, value=error.value, hint=error.hint
+        ) from error
     except (TypeError, ValueError, KeyError) as error:
         raise ToolkitError(
             "incomplete intrinsics: fl_x, fl_y, cx and cy are needed", path=path,
@@ -292,8 +299,10 @@ def _read_colmap(folder: Path) -> FiledCameras:
     found = _Rows(folder)
     for number in sorted(model.reg_image_ids()):
         image = model.image(number)
-        camera = from_colmap_camera(model.camera(image.camera_id))
-        lens = Lens(camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion, size=camera.size)
+        try:
+            lens = Intrinsics.of(from_colmap_camera(model.camera(image.camera_id)))
+        except ToolkitError as error:
+            raise ToolkitError(error.problem, path=folder, value=error.value) from error
         pose = from_rigid3d(image.cam_from_world())
         found.add(image.name, pose.matrix(), image.name, lens)
     return found.filed("colmap", convention="world-to-camera", unit_is_open=True)

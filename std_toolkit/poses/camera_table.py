@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.geometry.se3 import so3_exp
 from std_toolkit.io.foreign_files import csv_rows
 
@@ -29,24 +30,6 @@ _POSITIONS = (("x", "y", "z"), ("tx", "ty", "tz"), ("px", "py", "pz"))
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _VECTOR = ("rx", "ry", "rz")
 _MATRIX = tuple(f"m{r}{c}" for r in range(4) for c in range(4))
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Intrinsics as filed, in the toolkit's pixels (centre of the first pixel at (0, 0)).
-
-    Attributes:
-        fx, fy, cx, cy: pixels.
-        distortion: OpenCV coefficients.
-        size: (width, height) if the file has it.
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = ()
-    size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,12 +52,12 @@ class FiledCameras:
     kind: str
     matrices: NDArray[np.float64]
     keys: list[str] | None = None
-    lenses: Sequence[Lens | None] = ()
+    lenses: Sequence[Intrinsics | None] = ()
     convention: str | None = None
     unit: str | None = None
     unit_is_open: bool = False
 
-    def lens(self) -> Lens | None:
+    def lens(self) -> Intrinsics | None:
         """Return the intrinsics that all poses share; None if the file has none.
 
         Raises:
@@ -85,7 +68,8 @@ class FiledCameras:
             return None
         for i, other in enumerate(lenses):
             a, b = ([x.fx, x.fy, x.cx, x.cy, *x.distortion] for x in (lenses[0], other))
-            if len(a) != len(b) or not np.allclose(a, b, rtol=1e-5, atol=1e-6):
+            same = len(a) == len(b) and lenses[0].model == other.model
+            if not same or not np.allclose(a, b, rtol=1e-5, atol=1e-6):
                 raise ToolkitError(
                     "the images have different intrinsics", path=self.path,
                     value=self.keys[i] if self.keys else i,
@@ -197,7 +181,7 @@ def _read_par(path: Path, rows: Rows) -> FiledCameras:
         K = values[:9].reshape(3, 3)
         if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or np.abs(K[1:, 0]).max() > 0 or K[2, 2] != 1:
             raise ToolkitError("K has skew or is no camera matrix", path=path, field=at)
-        lenses.append(Lens(K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+        lenses.append(Intrinsics(K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
         M = np.column_stack([values[9:18].reshape(3, 3), values[18:21]])
         matrices.append(as_matrix(M, path, at))
     return FiledCameras(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.camera_models import MODELS, Lens, Pinhole
 
 HALF_PIXEL = 0.5
 
@@ -30,13 +31,13 @@ def to_colmap_camera(camera: Camera, camera_id: int, *, distorted: bool = False)
     """Convert to pycolmap.Camera; `distorted` forces a model with distortion parameters."""
     params = [camera.fx, camera.fy, camera.cx + HALF_PIXEL, camera.cy + HALF_PIXEL]
     k = list(camera.distortion)
-    if len(k) > 4:
-        # COLMAP's full OpenCV model requires all eight parameters, in OpenCV's order.
-        model, params = "FULL_OPENCV", [*params, *k, *([0.0] * (8 - len(k)))]
-    elif k or distorted:
-        model, params = "OPENCV", [*params, *(k or [0.0] * 4)]
-    else:
-        model = "PINHOLE"
+    is_plain = camera.model == "opencv" and not k and not distorted
+    lens = Pinhole if is_plain else MODELS[camera.model]
+    # The smallest model with two focal lengths that holds all coefficients, in OpenCV's order.
+    model, count = next(
+        (name, count) for name, (f, count) in lens.colmap.items() if f == 2 and count >= len(k)
+    )
+    params += [*k, *([0.0] * (count - len(k)))]
     return pycolmap.Camera(
         camera_id=camera_id,
         model=model,
@@ -51,21 +52,21 @@ def from_colmap_camera(camera: Any) -> Camera:
     """Convert a pycolmap.Camera to the toolkit's camera.
 
     Raises:
-        ToolkitError: the camera model is not (SIMPLE_)PINHOLE, (SIMPLE_)RADIAL, OPENCV or
-            FULL_OPENCV.
+        ToolkitError: no lens of `geometry.camera_models` has this camera model.
     """
-    p = [float(x) for x in camera.params]
-    name = camera.model_name
-    if name == "SIMPLE_PINHOLE":
-        p = [p[0], *p]
-    elif name in ("SIMPLE_RADIAL", "RADIAL"):
-        # One focal length, k1 and perhaps k2.
-        p = [p[0], *p, *([0.0] * (8 - len(p) - 1))]
-        p = p[:4] if not any(p[4:]) else p
-    elif name not in ("PINHOLE", "OPENCV", "FULL_OPENCV"):
+    name, p = camera.model_name, [float(x) for x in camera.params]
+    lenses: list[tuple[str, type[Lens]]] = [("opencv", Pinhole), *MODELS.items()]
+    found = next(((model, lens) for model, lens in lenses if name in lens.colmap), None)
+    if found is None:
         raise ToolkitError("cannot convert this COLMAP camera model", value=name)
-    fx, fy, cx, cy, *k = p
-    return Camera(camera.width, camera.height, fx, fy, cx - HALF_PIXEL, cy - HALF_PIXEL, tuple(k))
+    model, lens = found
+    focal_lengths, count = lens.colmap[name]
+    fx, fy, cx, cy, *k = p if focal_lengths == 2 else [p[0], *p]
+    k += [0.0] * (next(n for n in lens.counts if n >= count) - count)
+    if focal_lengths == 1 and model == "opencv" and not any(k):
+        k = []
+    size = (camera.width, camera.height)
+    return Camera(*size, fx, fy, cx - HALF_PIXEL, cy - HALF_PIXEL, tuple(k), model)
 
 
 def to_colmap_pixels(uv: NDArray[np.floating]) -> NDArray[np.float64]:

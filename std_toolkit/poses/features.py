@@ -19,6 +19,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.images import read_color
 from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Floats = NDArray[np.float32]
 
@@ -35,7 +36,13 @@ SMALL_WIDTH = 400
 
 _CORNERS = 300
 
-_MIN_TRACKED_SHARE = 0.5
+
+@dataclass(frozen=True, kw_only=True)
+class TrackSettings(Settings):
+    """When the motion between two images can be measured."""
+
+    tracked_share: float = limit(0.5, source=NOT_RECORDED)
+    """smallest fraction of corners that must be tracked"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +331,7 @@ def _motion(previous: NDArray[np.uint8], image: NDArray[np.uint8]) -> float:
         previous, image, corners, None, winSize=(15, 15), maxLevel=4
     )
     kept = found.ravel() > 0
-    if kept.mean() < _MIN_TRACKED_SHARE:
+    if kept.mean() < TrackSettings.current().tracked_share:
         return 1.0
     flow = np.linalg.norm((moved - corners).reshape(-1, 2)[kept], axis=1)
     return float(np.median(flow) / image.shape[1])

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.io.documents import digest_of
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.camera_file import read_cameras, read_transform
 from std_toolkit.poses.camera_table import FiledCameras
 from std_toolkit.scene import Frame
-from std_toolkit.scene.document import digest_of
 
 _UNITS_IN_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "unknown": 1.0}
 # OpenGL camera axes (x right, y up, z backward) to OpenCV's.

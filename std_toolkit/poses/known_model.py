@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -30,15 +31,26 @@ from std_toolkit.poses.scale_sources import DepthScale, ScaleContext, resolve_sc
 from std_toolkit.poses.small_sets import verified_matches
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import Gate, ScaleReport
+from std_toolkit.settings import Settings, limit
 
 # All pairs of so few images are matched; of more, neighbours and similar ones.
 _ALL_PAIRS = 24
-# Sensor depth is a few per cent off at most; another unit is off by 10 or more.
-_DEPTH_FACTORS = (0.8, 1.25)
 # Deviation of given positions in a refinement, over the distance that a reprojection error of the
 # median, and at least of a feature's own error, stands for.
 _PRIOR_FACTOR = 3.0
 _SMALLEST_ERROR_PX = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownPosesSettings(Settings):
+    """What known camera poses and sensor depth may disagree by."""
+
+    depth_factors: tuple[float, float] = limit(
+        (0.8, 1.25),
+        source="sensor depth is a few per cent off at most; another unit is off by 10 or more",
+    )
+    """range of the factor between sensor depth and known camera poses; beyond it the unit is
+    wrong"""
 
 
 def reconstruct_known(
@@ -150,7 +162,7 @@ def known_scale(
     except errors.ToolkitError as error:
         log.logger.warning("sensor depth cannot check the unit of the poses: %s", error)
         return 1.0, report
-    low, high = _DEPTH_FACTORS
+    low, high = KnownPosesSettings.current().depth_factors
     if not low < estimate.factor < high:
         raise errors.ToolkitError(
             f"sensor depth is {estimate.factor:.4g} times the distance by these poses",
@@ -334,6 +346,7 @@ def _refine(model: Any, poses: dict[int, SE3], median_px: float, options: PoseOp
     for, so that directions that the images do not determine stay as given. An image with too few
     points keeps its pose.
     """
+    limits = mapping.MappingSettings.current()
     images = {f: model.image(f + 1) for f in poses}
     depths = [observations(model, i).points_cam[:, 2] for i in model.reg_image_ids()]
     distance = float(np.median(np.concatenate(depths)))
@@ -365,7 +378,10 @@ def _refine(model: Any, poses: dict[int, SE3], median_px: float, options: PoseOp
                 settings, pycolmap.PosePriorBundleAdjustmentOptions(), config, priors, model
             ).solve()
             manager = pycolmap.ObservationManager(model)
-            manager.filter_all_points3D(mapping.MAX_POINT_ERROR_PX, mapping.MIN_TRIANGULATION_DEG)
+            manager.filter_all_points3D(
+                limits.largest_error_px,
+                limits.wide_angle_deg,
+            )
         model.update_point_3d_errors()
     ours = {f: from_rigid3d(x.cam_from_world()).inverse() for f, x in images.items()}
     scale, T = align_poses(list(ours.values()), list(poses.values()))

@@ -16,14 +16,22 @@ from std_toolkit.log import logger
 from std_toolkit.options import Mapper, PoseOptions, Refinement
 from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_colmap_pixels
 from std_toolkit.poses.features import Features
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Points with a larger reprojection error are removed; those on moving people are far above.
-MAX_POINT_ERROR_PX = 4.0
-MIN_TRIANGULATION_DEG = 1.5
-# An image with fewer wide-angle points also keeps its other points.
-MIN_WIDE_POINTS = 80
-# Wide-angle limit on a short sweep, as a fraction of the angle that a quarter of the points reach.
-SHARE_OF_WIDE = 0.3
+
+@dataclass(frozen=True, kw_only=True)
+class MappingSettings(Settings):
+    """Points that a reconstruction keeps."""
+
+    largest_error_px: float = limit(4.0, unit="px", source="those on moving people are far above")
+    """points with a larger reprojection error are removed"""
+    wide_angle_deg: float = limit(1.5, unit="deg", source=NOT_RECORDED)
+    """points seen under a smaller angle are removed"""
+    fewest_wide_points: int = limit(80, source=NOT_RECORDED)
+    """an image with fewer wide-angle points also keeps its other points"""
+    short_sweep_share: float = limit(0.3, source=NOT_RECORDED)
+    """wide-angle limit on a short sweep, as a fraction of the angle that a quarter of the
+    points reach"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +161,7 @@ def adjust(
         min_angle_deg: keep only points with at least this triangulation angle, see
             `keep_wide_points`.
     """
+    limits = MappingSettings.current()
     options = adjustment_options(refine=refine, threads=threads)
     with quiet_colmap():
         if min_angle_deg is not None:
@@ -160,7 +169,7 @@ def adjust(
         for _ in range(2):
             pycolmap.bundle_adjustment(model, options)
             manager = pycolmap.ObservationManager(model)
-            manager.filter_all_points3D(MAX_POINT_ERROR_PX, MIN_TRIANGULATION_DEG)
+            manager.filter_all_points3D(limits.largest_error_px, limits.wide_angle_deg)
         model.update_point_3d_errors()
 
 
@@ -193,9 +202,10 @@ def keep_wide_points(model: Any, *, min_angle_deg: float) -> None:
     Args:
         model: pycolmap.Reconstruction; changed in place.
         min_angle_deg: lower limit of the largest angle between two rays to a point; reduced to
-            `SHARE_OF_WIDE` of the angle that a quarter of the points reach, if that is less.
+            `short_sweep_share` of the angle that a quarter of the points reach, if that is less.
     """
-    min_angle_deg = min(min_angle_deg, SHARE_OF_WIDE * _wide_angle(model))
+    limits = MappingSettings.current()
+    min_angle_deg = min(min_angle_deg, limits.short_sweep_share * _wide_angle(model))
     trial = pycolmap.Reconstruction(model)
     every = set(trial.point3D_ids())
     pycolmap.ObservationManager(trial).filter_points3D_with_small_triangulation_angle(
@@ -203,7 +213,7 @@ def keep_wide_points(model: Any, *, min_angle_deg: float) -> None:
     )
     needed: set[int] = set()
     for image_id in model.reg_image_ids():
-        if trial.image(image_id).num_points3D < MIN_WIDE_POINTS:
+        if trial.image(image_id).num_points3D < limits.fewest_wide_points:
             image = model.image(image_id)
             needed.update(
                 image.points2D[i].point3D_id for i in image.get_observation_point2D_idxs()

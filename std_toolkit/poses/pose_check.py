@@ -21,17 +21,25 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.poses.colmap import to_colmap_camera, to_colmap_pixels, to_rigid3d
 from std_toolkit.poses.known_cameras import KnownPoses
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Enough for a median to a few per cent.
 _TRACKS = 3000
 _TRACKS_OF_ALTERNATIVE = 400
-MIN_TRACKS = 30
 # Errors beyond this are all alike: no point explains the track.
 _LARGEST_PX = 1000.0
-# A convention that explains the images this much better is named.
-_BETTER = 3.0
-# Observations that tell that one frame's pose is wrong.
-_MIN_OBSERVATIONS = 15
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseCheckSettings(Settings):
+    """When tracks contradict known camera poses."""
+
+    fewest_tracks: int = limit(30, source=NOT_RECORDED)
+    """fewer tracks check nothing"""
+    better_factor: float = limit(3.0, source=NOT_RECORDED)
+    """a convention that explains the images this many times better is named"""
+    fewest_observations: int = limit(15, source=NOT_RECORDED)
+    """observations that show that one frame's pose is wrong"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +116,9 @@ def _linear(
     A, b = np.zeros((3, 3)), np.zeros(3)
     for pixel, f in zip(uv, seen, strict=True):
         T = T_world_cam[f]
-        ray = T.R @ np.array([(pixel[0] - camera[f].cx) / camera[f].fx,
-                              (pixel[1] - camera[f].cy) / camera[f].fy, 1.0])  # fmt: skip
+        ray = T.R @ camera[f].unproject(pixel)
+        if not np.isfinite(ray).all():  # a pixel that no ray reaches
+            continue
         ray /= np.linalg.norm(ray)
         P = np.eye(3) - np.outer(ray, ray)
         A += P
@@ -185,9 +194,10 @@ def check_poses(
         ToolkitError: they do not, or too few features match, unless the options keep such poses.
             A convention that explains the images is named.
     """
+    limits = PoseCheckSettings.current()
     limit, path = known.options.cameras_max_px, known.filed.path
     chosen = tracks.sample(_TRACKS)
-    if len(chosen) < MIN_TRACKS:
+    if len(chosen) < limits.fewest_tracks:
         problem = (
             f"the poses cannot be checked: only {len(tracks)} features match between the images"
         )
@@ -213,7 +223,7 @@ def check_poses(
     bad = {}
     for f in sorted(set(chosen.frame.tolist())):
         own = errors[chosen.frame == f]
-        if len(own) >= _MIN_OBSERVATIONS and np.median(own) > limit:
+        if len(own) >= limits.fewest_observations and np.median(own) > limit:
             bad[f] = float(np.median(own))
     notes = [f"the poses explain the images: median {median:.2f} px over {len(chosen)} points"]
     if bad:
@@ -239,4 +249,10 @@ def _explained(
         if best is None or error < best[0]:
             best = error, f"{other.title} explains them: {_px(error)}; {advice}"
     good = best is not None and best[0] <= known.options.cameras_max_px
-    return best[1] if best is not None and good and best[0] * _BETTER < median else ""
+    return (
+        best[1]
+        if best is not None
+        and good
+        and best[0] * PoseCheckSettings.current().better_factor < median
+        else ""
+    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +11,12 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.io.documents import digest_file, digest_files, digest_of
 from std_toolkit.jobs import JobOptions
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions, Refinement
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
-from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import Gate, ScaleReport, without_derived
 from std_toolkit.scene.scale_model import differences
 
@@ -57,14 +57,13 @@ def estimate_poses(
     board = board_file(scene, options)
     known = _known_poses(scene, options)
     with scene.lock():
-        digest = _digest(scene, options, board)
-        if known is not None:
-            digest = digest_of(digest, known.digest())
-        if is_fresh(scene.root, STEP, digest) and scene.poses is not None:
-            logger.info("camera poses: up to date")
+        artefact = _artefact(scene, options, board, known)
+        if artefact.is_kept() and scene.poses is not None:
             return scene.poses
         with work_folder(scene.root) as work:
-            return _run(scene, options, jobs, board, known, digest, work)
+            poses, outputs = _run(scene, options, jobs, board, known, work)
+        artefact.write(outputs)
+    return poses
 
 
 def board_file(scene: Scene, options: PoseOptions) -> Path | None:
@@ -90,9 +89,8 @@ def _run(
     jobs: JobOptions,
     board: Path | None,
     known: KnownPoses | None,
-    digest: str,
     work: Path,
-) -> CameraPoses:
+) -> tuple[CameraPoses, list[Path]]:
     from std_toolkit.poses.colmap import place_in_world, quiet_colmap, scale_world
     from std_toolkit.poses.known_model import known_gates, known_scale, reconstruct_known
     from std_toolkit.poses.publish import publish_model
@@ -152,14 +150,7 @@ def _run(
     outputs = publish_model(scene.root, done.model, work)
     _forget_world_poses(scene)
     scene.save_poses(poses)
-    write_record(
-        scene.root,
-        STEP,
-        digest,
-        outputs=[scene.root / "poses.json", *outputs],
-        parameters=_parameters(options, board),
-    )
-    return poses
+    return poses, [scene.root / "poses.json", *outputs]
 
 
 def _known_poses(scene: Scene, options: PoseOptions) -> KnownPoses | None:
@@ -170,7 +161,16 @@ def _known_poses(scene: Scene, options: PoseOptions) -> KnownPoses | None:
         return None
     from std_toolkit.poses.known_cameras import read_known_poses
 
-    return read_known_poses(options.known, scene.frames)
+    known = read_known_poses(options.known, scene.frames)
+    models = {lens.model for lens in known.filed.lenses if lens is not None}
+    if models != {"opencv"} and models and not scene.info.recorded_lenses:
+        logger.warning(
+            "%s states a %s lens, which the images of the scene are taken not to have; "
+            "`std-curate import --cameras` undistorts images",
+            known.filed.path,
+            ", ".join(sorted(models)),
+        )
+    return known
 
 
 def _forget_world_poses(scene: Scene) -> None:
@@ -227,29 +227,19 @@ def _width(jobs: JobOptions, options: PoseOptions) -> JobOptions:
     )
 
 
-def _parameters(options: PoseOptions, board: Path | None) -> dict[str, Any]:
-    values = asdict(options)
-    # No paths in records, so that a moved scene stays fresh.
-    values["board"] = None if board is None else board.name
-    values["known"] = {k: v.name if isinstance(v, Path) else v for k, v in values["known"].items()}
-    return {k: str(v) if isinstance(v, Refinement) else v for k, v in values.items()}
-
-
-def _digest(scene: Scene, options: PoseOptions, board: Path | None) -> str:
-    """Digest of everything that poses.json depends on."""
-    from std_toolkit.poses.reconstruct import image_digests, model_digest
+def _artefact(
+    scene: Scene, options: PoseOptions, board: Path | None, known: KnownPoses | None
+) -> Artefact:
+    """Everything that poses.json depends on."""
+    from std_toolkit.poses.reconstruct import MODEL_OPTIONS, image_digests
 
     if board is not None and not board.is_file():
         raise ToolkitError("board file not found", path=board)
-    model = model_digest(scene, image_digests(scene), options)
-    depths = []
-    if options.scale != "none":
-        for frame in scene.frames:
-            if frame.depth is not None:
-                path = scene.root / frame.depth
-                if not path.is_file():
-                    raise ToolkitError("depth image not found", path=path)
-                depths.append(digest_file(path))
+    has_scale = options.scale != "none"
+    depths = [scene.root / f.depth for f in scene.frames if f.depth is not None and has_scale]
+    for path in depths:
+        if not path.is_file():
+            raise ToolkitError("depth image not found", path=path)
     # Only objects annotated in several frames determine the scale. T_world_obj is left out because
     # it follows from the poses.
     annotated = [
@@ -258,25 +248,28 @@ def _digest(scene: Scene, options: PoseOptions, board: Path | None) -> str:
             [scene.objects.object(x.object), scene.objects.model_of(x.object)],
         ]
         for x in scene.labels.labels
-        if x.views and options.scale != "none"
+        if x.views and has_scale
     ]
-    gates = {k: v for k, v in _parameters(options, None).items() if k.startswith(("min_", "max_"))}
-    return digest_of(
-        STEP,
-        model,
-        options.scale,
-        gates,
-        None if board is None else digest_file(board),
-        depths,
-        [scene.info.depth_scale, scene.info.depth_correction],
-        annotated,
-        _mesh_digests(scene) if annotated else [],
-    )
-
-
-def _mesh_digests(scene: Scene) -> list[list[str]]:
-    paths = {m.id: scene.mesh_path(m) for m in scene.objects.models}
-    return [[key, digest_file(path) if path.is_file() else ""] for key, path in paths.items()]
+    meshes = [scene.mesh_path(m) for m in scene.objects.models if annotated]
+    digests = image_digests(scene)
+    images = [[f.id, f.name, f.color, f.camera, digests[f.id]] for f in scene.frames]
+    inputs = {
+        "images": digest_of(images),
+        "cameras": digest_of(scene.info.cameras),
+        "depth": digest_of(
+            list(digest_files(scene.root, depths).values()),
+            [scene.info.depth_scale, scene.info.depth_correction],
+        ),
+        "board": "" if board is None else digest_file(board),
+        "annotations": digest_of(annotated, digest_files(scene.root, meshes)),
+        "known poses": "" if known is None else known.digest(),
+    }
+    values = {
+        k: v
+        for k, v in vars(options).items()
+        if k in (*MODEL_OPTIONS, "scale") or k.startswith(("min_", "max_"))
+    }
+    return Artefact(scene.root, STEP, inputs, values)
 
 
 def pose_gates(
@@ -348,12 +341,12 @@ def _disagreement_sigma(scale: ScaleReport, options: PoseOptions) -> float:
 
 def matches_gate(explained: float) -> Gate:
     """Gate of a small set whose pairs were all matched; a ring may close on the wrong side."""
-    from std_toolkit.poses.small_sets import MIN_EXPLAINED
+    from std_toolkit.poses.small_sets import SmallSetSettings
 
     return _at_least(
         "matches_explained",
         explained,
-        MIN_EXPLAINED,
+        SmallSetSettings.current().explained,
         "matches of neighbouring images contradict the poses: sides that look alike were taken for "
         "one; put texture around the object, or give known poses with --cameras",
     )

@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 
 from std_toolkit.io.atomic import atomic_path, sweep_temporaries
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_files, read_document, write_document
+from std_toolkit.jobs.artefact import Record, changed_files, record_path
 from std_toolkit.poses.colmap import quiet_colmap
-from std_toolkit.scene.document import Record, digest_file, is_fresh, record_path
 from std_toolkit.scene.model import FramePose, ScaleReport, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -101,7 +101,7 @@ def rescaled_poses(scene: Scene, factor: float, report: ScaleReport) -> Iterator
     scene.save_poses(msgspec.structs.replace(poses, frames=frames, scale=report))
     yield
     for path, record in intact:
-        outputs = {name: digest_file(scene.root / name) for name in record.outputs}
+        outputs = digest_files(scene.root, [scene.root / name for name in record.outputs])
         write_document(path, msgspec.structs.replace(record, outputs=outputs))
 
 
@@ -110,7 +110,7 @@ def _intact_records(root: Path) -> list[tuple[Path, Record]]:
     found = []
     for path in sorted(record_path(root, "x").parent.glob("*.json")):
         record = read_document(path, Record)
-        if "poses.json" in record.outputs and is_fresh(root, path.stem, record.digest):
+        if "poses.json" in record.outputs and not changed_files(root, record.outputs):
             found.append((path, record))
     return found
 

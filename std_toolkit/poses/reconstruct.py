@@ -14,7 +14,7 @@ import pycolmap
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, digest_of, read_document, write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions
@@ -34,11 +34,10 @@ from std_toolkit.poses.features import (
 from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
 from std_toolkit.poses.small_sets import map_small_set, rank_model
 from std_toolkit.scene import CameraModel, Frame, Scene
-from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import Document
 
 # Options that change the model; the other options affect only scale and gates.
-_MODEL_OPTIONS = (
+MODEL_OPTIONS = (
     "keyframe_motion",
     "max_keyframe_gap",
     "max_features",
@@ -116,7 +115,7 @@ def model_digest(scene: Scene, digests: dict[int, str], options: PoseOptions) ->
         options: options of the step.
     """
     frames = [[f.id, f.name, f.color, f.camera, digests[f.id]] for f in scene.frames]
-    chosen = {name: getattr(options, name) for name in _MODEL_OPTIONS}
+    chosen = {name: getattr(options, name) for name in MODEL_OPTIONS}
     return digest_of("model", frames, scene.info.cameras, chosen)
 
 

@@ -15,15 +15,24 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.poses.features import describe_image, load_features, match_descriptors
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Keyframes that a frame is matched with: nearest in time, and most similar.
 NEAR_KEYFRAMES = 4
 ALIKE_KEYFRAMES = 3
-RANSAC_ERROR_PX = 6.0
-INLIER_ERROR_PX = 3.0
 SEARCH_RADIUS_PX = 6.0
-# With a smaller fraction of inliers among the matches, a pose may be due to chance.
-MIN_INLIER_SHARE = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterSettings(Settings):
+    """When a frame is registered to a model."""
+
+    ransac_px: float = limit(6.0, unit="px", source=NOT_RECORDED)
+    """largest reprojection error of an inlier of RANSAC"""
+    inlier_px: float = limit(3.0, unit="px", source=NOT_RECORDED)
+    """largest reprojection error of an inlier after refinement"""
+    inlier_share: float = limit(0.2, source=NOT_RECORDED)
+    """a pose with a smaller fraction of inliers among its matches may be due to chance"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +172,7 @@ def register_frames(
 def _register(
     job: RegistrationJob, *, index_path: Path, features: Path, min_points: int, seed: int
 ) -> Registration | None:
+    limits = RegisterSettings.current()
     import pycolmap
 
     from std_toolkit.poses.colmap import from_rigid3d, to_colmap_camera, to_colmap_pixels
@@ -177,20 +187,20 @@ def _register(
         return None
     camera = to_colmap_camera(job.camera, 1)
     estimation = pycolmap.AbsolutePoseEstimationOptions()
-    estimation.ransac.max_error = RANSAC_ERROR_PX
+    estimation.ransac.max_error = limits.ransac_px
     estimation.ransac.random_seed = seed
     pixels = to_colmap_pixels(uv)
     found = pycolmap.estimate_and_refine_absolute_pose(
         pixels[keypoint], index.xyz[point], camera, estimation
     )
     if found is None or found["num_inliers"] < max(
-        min_points // 2, MIN_INLIER_SHARE * len(keypoint)
+        min_points // 2, limits.inlier_share * len(keypoint)
     ):
         return None
     pose = found["cam_from_world"]
     # The pose predicts where points rejected by the ratio test project to. Searching there doubles
     # the number of observations and spreads them over the image.
-    for radius in (SEARCH_RADIUS_PX, INLIER_ERROR_PX):
+    for radius in (SEARCH_RADIUS_PX, limits.inlier_px):
         keypoint, point = _search(
             index, features, chosen, from_rigid3d(pose), job.camera, frame.descriptors, uv, radius
         )
@@ -213,7 +223,7 @@ def _register(
     error = np.linalg.norm(
         job.camera.project(T_cam_world @ index.xyz[point]) - uv[keypoint], axis=1
     )
-    good = error < INLIER_ERROR_PX
+    good = error < limits.inlier_px
     if good.sum() < min_points:
         return None
     return Registration(T_cam_world, keypoint[good], index.point_ids[point[good]])

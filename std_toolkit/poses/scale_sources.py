@@ -33,6 +33,7 @@ from std_toolkit.scene.scale_model import (
     contradiction,
     fuse,
 )
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Order of equally precise sources; plug-ins follow.
 TRUST = ("board", "cad", "depth")
@@ -44,18 +45,30 @@ NO_SCALE_HINT = (
 
 MAX_FRAMES = 60
 
-MIN_TRACK_LENGTH = 3
 
-MIN_RATIOS = 100
+@dataclass(frozen=True, kw_only=True)
+class DepthScaleSettings(Settings):
+    """Sensor depths that give the scale."""
 
-# A pixel counts if its neighbourhood is complete and its depth varies by less than this fraction
-# per pixel: at an edge, a sub-pixel error selects foreground or background.
-MAX_STEP = 0.01
-
-# The error of stereo depth grows with the square of the distance.
-MIN_DEPTH_M, MAX_DEPTH_M = 0.15, 4.0
-
-MAX_REPROJECTION_PX = 1.5
+    shortest_track: int = limit(3, source=NOT_RECORDED)
+    """images that must see a point"""
+    fewest_ratios: int = limit(100, source=NOT_RECORDED)
+    """fewer depths give no scale"""
+    largest_step: float = limit(
+        0.01,
+        source="at an edge, a sub-pixel error selects foreground or background",
+    )
+    """largest change of depth per pixel, as a fraction of the depth"""
+    nearest_m: float = limit(0.15, unit="m", source=NOT_RECORDED)
+    """nearest depth that counts"""
+    farthest_m: float = limit(
+        4.0,
+        unit="m",
+        source="the error of stereo depth grows with the square of the distance",
+    )
+    """farthest depth that counts"""
+    largest_error_px: float = limit(1.5, unit="px", source=NOT_RECORDED)
+    """largest mean reprojection error of a point that counts"""
 
 
 @dataclass(frozen=True)
@@ -285,6 +298,7 @@ class DepthScale:
         return any(f.depth is not None for f in context.frames())
 
     def estimate(self, context: ScaleContext) -> ScaleEstimate:
+        limits = DepthScaleSettings.current()
         frames = [f for f in context.frames() if f.depth is not None]
         # A sample spread over the recording is enough; reading every depth image takes long.
         step = max(1, -(-len(frames) // MAX_FRAMES))
@@ -297,9 +311,9 @@ class DepthScale:
             ratios.append(single)
             groups.append(np.full(len(single), frame.id))
         found = np.concatenate(ratios) if ratios else np.zeros(0)
-        if len(found) < MIN_RATIOS:
+        if len(found) < limits.fewest_ratios:
             raise errors.ToolkitError(
-                f"scale from depth needs {MIN_RATIOS} points with sensor depth",
+                f"scale from depth needs {limits.fewest_ratios} points with sensor depth",
                 value=len(found),
                 hint="is the depth aligned to colour? name another source with --scale",
             )
@@ -327,13 +341,14 @@ def z_ratios(depth: NDArray[np.floating], seen: Observations) -> NDArray[np.floa
     Returns:
         (N,) metres per unit of the model.
     """
+    limits = DepthScaleSettings.current()
     p = seen.points_cam
     uv = seen.camera.project(p)
     h, w = depth.shape
     good = (
         np.isfinite(uv).all(axis=1)
-        & (seen.track_length >= MIN_TRACK_LENGTH)
-        & (np.linalg.norm(uv - seen.uv, axis=1) < MAX_REPROJECTION_PX)
+        & (seen.track_length >= limits.shortest_track)
+        & (np.linalg.norm(uv - seen.uv, axis=1) < limits.largest_error_px)
     )
     good[good] &= (uv[good] >= 1).all(axis=1) & (uv[good] <= [w - 3, h - 3]).all(axis=1)
     uv, z = uv[good], p[good, 2]
@@ -345,7 +360,7 @@ def z_ratios(depth: NDArray[np.floating], seen: Observations) -> NDArray[np.floa
     ).astype(np.float64)
     complete = (patch > 0).all(axis=1)
     middle = patch[:, [5, 6, 9, 10]]
-    flat = np.ptp(patch, axis=1) < 3 * MAX_STEP * np.maximum(middle.mean(axis=1), 1e-9)
+    flat = np.ptp(patch, axis=1) < 3 * limits.largest_step * np.maximum(middle.mean(axis=1), 1e-9)
     a, b = uv[:, 0] - u0, uv[:, 1] - v0
     # On a plane, inverse depth is linear in the image and depth is not.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -356,6 +371,6 @@ def z_ratios(depth: NDArray[np.floating], seen: Observations) -> NDArray[np.floa
             + inverse[:, 2] * (1 - a) * b
             + inverse[:, 3] * a * b
         )
-    near = (measured > MIN_DEPTH_M) & (measured < MAX_DEPTH_M)
+    near = (measured > limits.nearest_m) & (measured < limits.farthest_m)
     keep = complete & flat & near & (z > 0)
     return np.asarray(measured[keep] / z[keep], dtype=np.float64)

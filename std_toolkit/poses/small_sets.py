@@ -29,14 +29,27 @@ from std_toolkit.poses.mapping import (
     match_keyframes,
 )
 from std_toolkit.poses.pose_check import Tracks
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# An image with fewer points after the bundle adjustment has no reliable pose.
-_MIN_POINTS = 10
 # Images this near in the order of the set see the same side of an object.
 _NEIGHBOURS = 2
 # On rings of six textured meshes, right models explain 0.98 and more, wrong ones 0.82 to 0.89.
-MIN_EXPLAINED = 0.95
-_EXPLAINED_PX = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmallSetSettings(Settings):
+    """Which models of few images are right."""
+
+    fewest_points: int = limit(10, source=NOT_RECORDED)
+    """an image with fewer points after bundle adjustment has no reliable pose"""
+    explained: float = limit(
+        0.95,
+        source="rings of six textured meshes: right models explain 0.98 and more, wrong ones "
+        "0.82 to 0.89",
+    )
+    """smallest fraction of matches that a model explains"""
+    explained_px: float = limit(4.0, unit="px", source=NOT_RECORDED)
+    """largest reprojection error of a match that is explained"""
 
 
 @dataclass(frozen=True)
@@ -103,12 +116,15 @@ def map_small_set(
 
 def _rank(result: SmallSetMapping) -> tuple[int, bool, float]:
     registered, quality = rank_model(result.mapping.model)
-    return registered, result.explained >= MIN_EXPLAINED, quality
+    return registered, result.explained >= SmallSetSettings.current().explained, quality
 
 
 def _complete(result: SmallSetMapping, count: int) -> bool:
     model = result.mapping.model
-    return bool(model.num_reg_images() == count) and result.explained >= MIN_EXPLAINED
+    return (
+        bool(model.num_reg_images() == count)
+        and result.explained >= SmallSetSettings.current().explained
+    )
 
 
 def _adjusted(
@@ -123,7 +139,7 @@ def _adjusted(
     adjust(model, refine=options.refine, threads=options.threads)
     for number in list(model.reg_image_ids()):
         image = model.image(number)
-        if image.num_points3D < _MIN_POINTS:
+        if image.num_points3D < SmallSetSettings.current().fewest_points:
             model.deregister_frame(image.frame_id)
     others = [m.num_reg_images() for m in ranked[-2::-1]]
     explained = explained_matches(model, images, verified_matches(database), order)
@@ -169,7 +185,7 @@ def explained_matches(
         tracks = Tracks(np.tile([a, b], len(pairs)), pixels, np.arange(0, 2 * len(pairs) + 1, 2))
         errors = tracks.errors(poses, lens).reshape(-1, 2).max(axis=1)
         total += len(pairs)
-        good += int((errors < _EXPLAINED_PX).sum())
+        good += int((errors < SmallSetSettings.current().explained_px).sum())
     return good / total if total else 1.0
 
 

@@ -8,10 +8,14 @@ fits one line.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
+
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -23,14 +27,24 @@ _SMALLEST_REACH_PX = 1.5
 # Cells of an AprilTag of the family 36h11 across; families with fewer have larger ones.
 _CELLS = 8
 # Grey values per pixel below which there is no edge.
-_FAINTEST = 4.0
 _MOST_SAMPLES = 60
-_LEAST_SAMPLES = 6
-# Share of an edge that must be seen, so that its ends are not far from what is.
-_LEAST_SHARE = 0.5
 # A place further from the line of its edge, or a corner that moves further, is something else.
-_OFF_LINE_PX = 0.6
 _ROUNDS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class TagEdgeSettings(Settings):
+    """Edges of tags that determine corners."""
+
+    faintest: float = limit(4.0, unit="grey values per pixel", source=NOT_RECORDED)
+    """a weaker gradient is no edge"""
+    fewest_samples: int = limit(6, source=NOT_RECORDED)
+    """samples along an edge that it needs"""
+    seen_share: float = limit(0.5, source="the ends of an edge must not be far from what is seen")
+    """smallest fraction of an edge that must be seen"""
+    off_line_px: float = limit(0.6, unit="px", source=NOT_RECORDED)
+    """a place further from the line of its edge, or a corner that moves further, is something
+    else"""
 
 
 def edge_corners(grey: NDArray[np.uint8], corners: Array) -> Array:
@@ -80,21 +94,22 @@ def _edge_line(
     image: NDArray[np.float32], a: Array, b: Array, middle: Array, reach: float
 ) -> Array | None:
     """(nx, ny, c) of the line n . p = c along the edge from a to b; None if it is not seen."""
+    limits = TagEdgeSettings.current()
     along = b - a
     length = float(np.linalg.norm(along))
-    if length < 2 * _LEAST_SAMPLES:
+    if length < 2 * limits.fewest_samples:
         return None
     along /= length
     out = np.array([along[1], -along[0]])
     if out @ (a - middle) < 0:
         out = -out
-    count = int(np.clip(length * (1 - 2 * _ENDS), _LEAST_SAMPLES, _MOST_SAMPLES))
+    count = int(np.clip(length * (1 - 2 * _ENDS), limits.fewest_samples, _MOST_SAMPLES))
     s = np.linspace(_ENDS * length, (1 - _ENDS) * length, count)
     t = np.arange(-reach - _STEP_PX, reach + 1.5 * _STEP_PX, _STEP_PX)
     p = a + s[:, None, None] * along + t[None, :, None] * out
     h, w = image.shape
     inside = ((p > 1) & (p < np.array([w, h]) - 2)).all(axis=(1, 2))
-    if inside.sum() < _LEAST_SAMPLES:
+    if inside.sum() < limits.fewest_samples:
         return None
     p = p[inside]
     profile = map_coordinates(image, (p[..., 1], p[..., 0]), order=3, prefilter=False)
@@ -105,8 +120,8 @@ def _edge_line(
     left, peak, right = (slope[row, top + k] for k in (-1, 0, 1))
     bend = left - 2 * peak + right
     shift = np.where(bend < -1e-6, 0.5 * (left - right) / np.minimum(bend, -1e-6), 0)
-    good = (peak > _FAINTEST) & (np.abs(shift) <= 1) & (slope.argmax(axis=1) == top)
-    if good.sum() < max(_LEAST_SAMPLES, _LEAST_SHARE * count):
+    good = (peak > limits.faintest) & (np.abs(shift) <= 1) & (slope.argmax(axis=1) == top)
+    if good.sum() < max(limits.fewest_samples, limits.seen_share * count):
         return None
     points = (
         a
@@ -118,15 +133,16 @@ def _edge_line(
 
 def _line(points: Array, out: Array) -> Array | None:
     """(nx, ny, c) of the line that most of the points (N, 2) are on."""
+    limits = TagEdgeSettings.current()
     kept = np.ones(len(points), bool)
     for _ in range(4):
         middle = points[kept].mean(axis=0)
         normal = np.linalg.svd(points[kept] - middle, full_matrices=False)[2][1]
         off = np.abs((points - middle) @ normal)
-        limit = max(_OFF_LINE_PX / 2, 2.5 * float(np.median(off[kept])))
-        kept = off < min(limit, 4 * _OFF_LINE_PX)
-        if kept.sum() < _LEAST_SAMPLES:
+        limit = max(limits.off_line_px / 2, 2.5 * float(np.median(off[kept])))
+        kept = off < min(limit, 4 * limits.off_line_px)
+        if kept.sum() < limits.fewest_samples:
             return None
-    if float(np.median(off[kept])) > _OFF_LINE_PX or abs(normal @ out) < 0.9:
+    if float(np.median(off[kept])) > limits.off_line_px or abs(normal @ out) < 0.9:
         return None
     return np.array([*normal, float(normal @ middle)])

@@ -141,7 +141,7 @@ def _write_nerf(scene: Scene, out: Path) -> None:
         if T is None:
             continue
         camera = scene.camera(frame)
-        k = [*camera.distortion, *([0.0] * (8 - len(camera.distortion)))]
+        k = camera.opencv_distortion
         if any(k[5:]):
             raise ToolkitError(
                 "transforms.json cannot store the coefficients k4, k5 and k6",

@@ -19,14 +19,14 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from msgspec.structs import asdict
 
-from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, digest_of, write_document
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.rendering import choose, ground_truth, maps, mesh, occluders, raycast
 from std_toolkit.rendering.ground_truth import (
     FrameTruth,
@@ -37,7 +37,6 @@ from std_toolkit.rendering.ground_truth import (
 )
 from std_toolkit.rendering.placements import frame_inputs, frame_placements, place_meshes
 from std_toolkit.rendering.renderer import PlacedMesh, Window, image_window, normalised_rays
-from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.scene.scene import Scene
 
@@ -79,11 +78,11 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
     if job.gl is not None:  # skips the probe in the worker
         os.environ.setdefault(choose.ANSWER_VARIABLE, job.gl)
     scene = _open_scene(job.root, job.state)
-    digest = _digest(scene, frame_id, job)
-    if not force and is_finished(scene.root, frame_id, digest):
+    artefact = _artefact(scene, frame_id, job)
+    info = info_path(scene.root, frame_id)
+    if not force and artefact.find(info, FrameTruth) is not None:
         return "kept"
     # Without this file the frame is unfinished: stale maps are not exported after a failure.
-    info = info_path(scene.root, frame_id)
     info.unlink(missing_ok=True)
     frame = scene.frame(frame_id)
     camera = scene.camera(frame)
@@ -113,34 +112,16 @@ def render_frame(frame_id: int, *, job: FrameJob, force: bool) -> Literal["done"
     write_document(
         info,
         FrameTruth(
+            **asdict(artefact.record(paths.values())),
             frame=frame_id,
             policy=policy,
             delta_m=None if policy == "models" else job.delta_m,
             renderer=job.renderer,
             smooth_normals=job.smooth_normals,
             objects=rows,
-            version=__version__,
-            inputs=frame_inputs(scene, frame_id),
-            digest=digest,
-            outputs={p.relative_to(scene.root).as_posix(): digest_file(p) for p in paths.values()},
         ),
     )
     return "done"
-
-
-def is_finished(root: Path, frame_id: int, digest: str) -> bool:
-    """Return whether a frame was rendered from inputs of this digest and its files are intact."""
-    path = info_path(root, frame_id)
-    if not path.is_file():
-        return False
-    try:
-        truth = read_document(path, FrameTruth)
-    except ToolkitError:  # older format or damaged: rendered again either way
-        return False
-    return truth.digest == digest and all(
-        (root / name).is_file() and digest_file(root / name) == content
-        for name, content in truth.outputs.items()
-    )
 
 
 @lru_cache(maxsize=2)
@@ -153,21 +134,21 @@ def _caster() -> raycast.RaycastRenderer:
     return raycast.RaycastRenderer()
 
 
-def _digest(scene: Scene, frame_id: int, job: FrameJob) -> str:
-    """Digest of everything that determines a frame's files."""
+def _artefact(scene: Scene, frame_id: int, job: FrameJob) -> Artefact:
+    """Everything that determines a frame's files."""
     frame = scene.frame(frame_id)
-    placements = frame_placements(scene, frame_id)
-    parts: list[Any] = [
-        frame_inputs(scene, frame_id),
-        [[object_id, pose.flat()] for object_id, pose in placements.items()],
-        [job.renderer, job.policy, job.delta_m, job.smooth_normals],
-        job.occluder[1] if job.occluder else None,
-        None if frame.depth is None else digest_file(scene.root / frame.depth),
-    ]
+    poses = [[i, pose.flat()] for i, pose in frame_placements(scene, frame_id).items()]
+    inputs = frame_inputs(scene, frame_id) | {
+        "object poses": digest_of(poses),
+        "sensor depth": "" if frame.depth is None else digest_file(scene.root / frame.depth),
+    }
     if job.occluder is not None:
         T_world_cam = scene.T_world_cam(frame_id)
-        parts.append(None if T_world_cam is None else T_world_cam.matrix().ravel().tolist())
-    return digest_of("render", frame_id, *parts)
+        pose = None if T_world_cam is None else T_world_cam.flat()
+        inputs |= {"occluders": job.occluder[1], "camera pose": digest_of(pose)}
+    names = ("renderer", "policy", "delta_m", "smooth_normals")
+    options = {name: getattr(job, name) for name in names}
+    return Artefact(scene.root, f"ground truth of frame {frame_id}", inputs, options)
 
 
 def _possible_policy(

@@ -41,6 +41,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import atomic, documents, exr, images
+from std_toolkit.jobs.artefact import Record
 from std_toolkit.scene.model import Count, Document, ObjectId, Pose16, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -91,8 +92,8 @@ class ObjectTruth(Document, frozen=True, kw_only=True):
         return pose_from_list(self.T_cam_obj)
 
 
-class FrameTruth(Document, frozen=True, kw_only=True):
-    """gt/info/NNNNNN.json: provenance and measurements of the ground truth of a frame.
+class FrameTruth(Record, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """gt/info/NNNNNN.json: record and measurements of the ground truth of a frame.
 
     Attributes:
         frame: frame id.
@@ -103,10 +104,6 @@ class FrameTruth(Document, frozen=True, kw_only=True):
         renderer: "pyrender", "raycast" or the name of a plug-in.
         smooth_normals: whether normals are interpolated within a triangle.
         objects: rows in order of object id.
-        version: version of the toolkit.
-        inputs: digest of camera, meshes and depth scale; the maps are stale if it differs.
-        digest: digest of everything that determines the files.
-        outputs: digest of the content by path relative to the scene folder.
     """
 
     frame: Count
@@ -115,10 +112,6 @@ class FrameTruth(Document, frozen=True, kw_only=True):
     renderer: str
     smooth_normals: bool
     objects: list[ObjectTruth]
-    version: str
-    inputs: str
-    digest: str
-    outputs: dict[str, str]
 
     def of(self, object_id: int) -> ObjectTruth:
         """Return the row of an object.

@@ -19,16 +19,18 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from std_toolkit.geometry.camera import on_depth_step, undistort_image
+from std_toolkit.geometry.camera import on_depth_step
 from std_toolkit.geometry.ray_caster import RayCaster, import_open3d
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.geometry.undistortion import undistort_image
 from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.documents import digest_file, digest_of
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.options import FusionOptions
 from std_toolkit.rendering import maps, placements, raycast
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.renderer import PlacedMesh
-from std_toolkit.scene.document import digest_file, digest_of, is_fresh, write_record
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.scene.scene import Scene
 
@@ -52,41 +54,32 @@ def fuse_occluders(scene: Scene, options: FusionOptions) -> tuple[str, str]:
         The path of the file, and the digest of its content.
     """
     frames = _spread_frames(scene)
-    digest = digest_of(
-        _STEP,
-        [options.voxel_m, options.clearance_m],
+    views = [
         [
-            [
-                f,
-                digest_file(scene.root / str(scene.frame(f).depth)),
-                _numbers(scene.T_world_cam(f)),
-                [[o, _numbers(T)] for o, T in placements.frame_placements(scene, f).items()],
-                repr(scene.camera(scene.frame(f))),
-            ]
-            for f in frames
-        ],
-        [scene.info.depth_scale, scene.info.depth_correction],
-        [
-            [o.id, o.material, digest_file(scene.mesh_path(scene.objects.model_of(o.id)))]
-            for o in scene.objects.objects
-        ],
-    )
+            f,
+            digest_file(scene.root / str(scene.frame(f).depth)),
+            _numbers(scene.T_world_cam(f)),
+            [[o, _numbers(T)] for o, T in placements.frame_placements(scene, f).items()],
+            repr(scene.camera(scene.frame(f))),
+        ]
+        for f in frames
+    ]
+    objects = [
+        [o.id, o.material, digest_file(scene.mesh_path(scene.objects.model_of(o.id)))]
+        for o in scene.objects.objects
+    ]
+    inputs = {
+        "frames": digest_of(views, [scene.info.depth_scale, scene.info.depth_correction]),
+        "objects": digest_of(objects),
+    }
+    values = {"voxel_m": options.voxel_m, "clearance_m": options.clearance_m}
+    artefact = Artefact(scene.root, _STEP, inputs, values)
     path = scene.root / OCCLUDER_FILE
-    if not is_fresh(scene.root, _STEP, digest):
+    if not artefact.is_kept():
         logger.info("fusing sensor depth of %d frames into occluding geometry", len(frames))
         vertices, faces = _fuse(scene, frames, options)
         _write_ply(path, vertices, faces)
-        write_record(
-            scene.root,
-            _STEP,
-            digest,
-            outputs=[path],
-            parameters={
-                "voxel_m": options.voxel_m,
-                "clearance_m": options.clearance_m,
-                "frames": frames,
-            },
-        )
+        artefact.write([path])
     return str(path), digest_file(path)
 
 

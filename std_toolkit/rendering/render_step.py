@@ -8,11 +8,11 @@ from typing import Literal
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.documents import digest_file, digest_files, digest_of
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import RenderOptions
 from std_toolkit.rendering import choose, frame, ground_truth, occluders, placements
-from std_toolkit.scene.document import digest_file, digest_of
 from std_toolkit.scene.scene import Scene
 
 
@@ -85,8 +85,7 @@ def render_ground_truth(
 def _state(scene: Scene, meshes: tuple[tuple[str, str], ...]) -> str:
     """Digest of the parts of a scene that a worker keeps in memory."""
     names = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
-    paths = [scene.root / name for name in names]
-    return digest_of([digest_file(p) if p.is_file() else None for p in paths], meshes)
+    return digest_of(digest_files(scene.root, [scene.root / name for name in names]), meshes)
 
 
 def _remove_stale(scene: Scene, labelled: set[int], policy: ground_truth.Policy) -> None:

@@ -238,7 +238,8 @@ def normalised_rays(camera: Camera, window: Window) -> tuple[np.ndarray, np.ndar
         return x[rows, columns], y[rows, columns]
     u = np.arange(window.x, window.x1, dtype=np.float64)
     v = np.arange(window.y, window.y1, dtype=np.float64)
-    return ((u - camera.cx) / camera.fx)[None, :], ((v - camera.cy) / camera.fy)[:, None]
+    x, y = camera.pinhole_rays(u, v)
+    return x[None, :], y[:, None]
 
 
 @lru_cache(maxsize=8)

@@ -183,8 +183,7 @@ class TexturedSurface:
 
     def _cast(self, camera: Camera, T_cam_obj: SE3, uv: Array) -> Any:
         direction = np.ones((*uv.shape[:-1], 3))
-        direction[..., 0] = (uv[..., 0] - camera.cx) / camera.fx
-        direction[..., 1] = (uv[..., 1] - camera.cy) / camera.fy
+        direction[..., 0], direction[..., 1] = camera.pinhole_rays(uv[..., 0], uv[..., 1])
         rays = np.empty((*uv.shape[:-1], 6), np.float32)
         rays[..., :3] = T_cam_obj.inverse().t - self.centre
         rays[..., 3:] = direction @ T_cam_obj.R

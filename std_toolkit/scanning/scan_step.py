@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.io.documents import digest_file, digest_of
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.scanning.masks.object_masks import both_positions, object_masks
 from std_toolkit.scanning.model.bake import bake_texture
@@ -23,7 +25,6 @@ from std_toolkit.scanning.photos import photos as photo_files
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.video import is_video, sample_video
 from std_toolkit.scanning.photos.views import Array, View
-from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface.depth_maps import ENGINES, DepthEngine
 from std_toolkit.scanning.surface.measured_surface import (
     Side,
@@ -35,14 +36,27 @@ from std_toolkit.scanning.surface.turned_over import find_turn
 from std_toolkit.scanning.vessel.glass_outlines import find_vessel
 from std_toolkit.scanning.vessel.revolve import fit_revolution
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
-from std_toolkit.scene.document import digest_file, digest_of
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Support of a face below which its place is a guess.
-_SUPPORTED = 0.3
+
+@dataclass(frozen=True, kw_only=True)
+class SupportSettings(Settings):
+    """Which faces of a scan are measured."""
+
+    supported: float = limit(0.3, source=NOT_RECORDED)
+    """support of a face below which its place is a guess"""
 
 
 def scan(options: ScanOptions) -> Scan:
-    """Make the model of an object from photos and write it to `options.out`.
+    """Make the model of an object from photos and write it to `options.out`, as `std-scan` does.
+
+    A scan that was interrupted resumes. See `examples/09_scan_an_object.py`.
+
+    Args:
+        options: photos, board, folder of the model, and everything else.
+
+    Returns:
+        The model in metres, in its own frame (z up where it stood on the board).
 
     Raises:
         ToolkitError: the photos do not suffice; the message says what to photograph.
@@ -51,7 +65,6 @@ def scan(options: ScanOptions) -> Scan:
 
     work = options.out / ".scan"
     work.mkdir(parents=True, exist_ok=True)
-    stages = Stages(work)
     threads = options.jobs.worker_count
     seconds: dict[str, float] = {}
     began = time.perf_counter()
@@ -68,16 +81,16 @@ def scan(options: ScanOptions) -> Scan:
     if options.flipped is not None:
         posed, views, sides = _joined(options, engine, work, threads, lap)
     elif options.revolve:
-        posed = _posed(options, _photos(options, work), stages, work, lap)
-        vessel, views = _vessel(options, posed, stages, threads)
+        posed = _posed(options, _photos(options, work), work, lap)
+        vessel, views = _vessel(options, posed, work, threads)
         lap("masks")
     else:
-        posed, views = _prepared(options, _photos(options, work), stages, work, threads, lap)
+        posed, views = _prepared(options, _photos(options, work), work, threads, lap)
     if vessel is not None:
         vertices, faces, support = _revolved(vessel, posed)
     else:
         if not sides:
-            side = measure_side(options, posed, views, engine, stages, threads, lap)
+            side = measure_side(options, posed, views, engine, work, threads, lap)
             sides, views = [(side, SE3.identity())], side.views
         found = fused_surface(options, sides, posed.facts, threads)
         vertices, faces, support = found.vertices, found.faces, found.support
@@ -94,7 +107,7 @@ def scan(options: ScanOptions) -> Scan:
         vertices=T_model_world @ vertices,
         faces=faces,
         texture=texture,
-        supported=support > _SUPPORTED,
+        supported=support > SupportSettings.current().supported,
         views=[replace(v, T_world_cam=T_model_world @ v.T_world_cam) for v in views],
         facts={**posed.facts, **words},
         warnings=posed.warnings,
@@ -116,24 +129,24 @@ def _photos(options: ScanOptions, work: Path) -> photo_files.Photos:
 
 
 def _posed(
-    options: ScanOptions, found: photo_files.Photos, stages: Stages, work: Path,
+    options: ScanOptions, found: photo_files.Photos, work: Path,
     lap: Callable[[str], None],
 ) -> PosedPhotos:  # fmt: skip
     """Photos of one position with poses."""
     files = [*found.paths, *([] if found.sensor is None else found.sensor.paths())]
     inputs = digest_of([digest_file(p) for p in files], [p.name for p in files])
-    posed = _poses(options, found, stages, work, inputs)
+    posed = _poses(options, found, work, inputs)
     lap("poses")
     return posed
 
 
 def _prepared(
-    options: ScanOptions, found: photo_files.Photos, stages: Stages, work: Path, threads: int,
+    options: ScanOptions, found: photo_files.Photos, work: Path, threads: int,
     lap: Callable[[str], None],
 ) -> tuple[PosedPhotos, list[View]]:  # fmt: skip
     """Photos of one position with poses, and with masks."""
-    posed = _posed(options, found, stages, work, lap)
-    views = object_masks(options, posed, stages, threads)
+    posed = _posed(options, found, work, lap)
+    views = object_masks(options, posed, work, threads)
     lap("masks")
     return posed, views
 
@@ -155,13 +168,12 @@ def _joined(
     both = []
     for part, found, label, name in zip(parts, photos, options.labels(), names, strict=True):
         folder = work / name
-        stages = Stages(folder)
 
         def told(stage: str, name: str = name) -> None:
             lap(f"{stage} of the flipped" if name else stage)
 
-        posed, views = _prepared(part, found, stages, folder, threads, told)
-        side = measure_side(part, posed, views, engine, stages, threads, told)
+        posed, views = _prepared(part, found, folder, threads, told)
+        side = measure_side(part, posed, views, engine, folder, threads, told)
         named = [replace(v, name=f"{label}/{v.name}") for v in side.views]
         both.append((posed, replace(side, views=named)))
     (posed, first), (over, second) = both
@@ -177,7 +189,8 @@ def _joined(
             "facts": np.array(list(turn.facts().items())),
         }
 
-    a = Stages(work).arrays("turn", digest_of(first.digest, second.digest, "turn 5"), make)
+    inputs = {"first side": first.digest, "flipped side": second.digest}
+    a = Artefact(work, "turn", inputs, {"format": 5}).arrays(make)
     lap("turn")
     posed.facts.update({f"{k} of the flipped": v for k, v in over.facts.items()})
     posed.facts.update({str(k): str(v) for k, v in a["facts"]})
@@ -206,9 +219,7 @@ def _joined(
     return posed, views, sides
 
 
-def _poses(
-    options: ScanOptions, found: photo_files.Photos, stages: Stages, work: Path, inputs: str
-) -> PosedPhotos:
+def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: str) -> PosedPhotos:
     if options.known.cameras is not None:
         views = photo_files.known_views(found, options.known, options.intrinsics)
         digest = digest_of(inputs, [v.P.tolist() for v in views], list(found.size))
@@ -219,7 +230,7 @@ def _poses(
         )  # fmt: skip
     if options.board is None:
         raise ToolkitError(
-            "without a board nothing tells the size of the object",
+            "the scale is unknown: no board",
             hint="photograph the object on the printed board and give --board FILE, or give known "
             "cameras with --cameras",
         )
@@ -237,9 +248,12 @@ def _poses(
         warnings.append(f"{len(blurred)} blurred photos were left out: {names}")
         logger.warning("%s", warnings[-1])
     kept = [i for i in range(len(found.paths)) if i not in set(blurred)]
-    digest = digest_of(
-        inputs, digest_file(options.board), options.intrinsics, options.max_features, found.factor,
-        kept, "poses 4",
+    artefact = Artefact(
+        work,
+        "poses",
+        {"photos": inputs, "board": digest_file(options.board)},
+        {"intrinsics": options.intrinsics, "max_features": options.max_features,
+         "size": found.factor, "photos": kept, "format": 4},
     )  # fmt: skip
 
     def make() -> dict[str, Any]:
@@ -250,7 +264,7 @@ def _poses(
         if options.intrinsics is not None:
             whole = image_size(found.paths[0])
             given = read_intrinsics(options.intrinsics, size=whole)
-            camera = given.camera(whole, path=options.intrinsics).resized(*found.size)
+            camera = given.scene_camera(whole, path=options.intrinsics).resized(*found.size)
         elif found.sensor is not None:
             camera = found.sensor.camera(found.size)
         else:
@@ -274,7 +288,7 @@ def _poses(
             "quality": np.array([p.corner_rms_px, p.feature_rms_px, p.scale_deviation]),
         }
 
-    a = stages.arrays("poses", digest, make)
+    a = artefact.arrays(make)
     fx, fy, cx, cy, *k = (float(x) for x in a["camera"])
     camera = Camera(*found.size, fx, fy, cx, cy, tuple(k))
     views = [
@@ -286,7 +300,7 @@ def _poses(
         names = ", ".join(found.paths[i].name for i in lost[:6])
         warnings.append(f"{len(lost)} photos match no other and show no board: {names}")
         logger.warning("%s", warnings[-1])
-    if len(views) < photo_files.MIN_PHOTOS:
+    if len(views) < photo_files.PhotoSettings.current().fewest_photos:
         raise ToolkitError(
             f"{len(views)} of {len(found.paths)} photos have a pose",
             hint="keep most of the board in view and move by small steps",
@@ -300,7 +314,7 @@ def _poses(
     }
     return PosedPhotos(
         views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]),
-        on_table=True, facts=facts, warnings=warnings, digest=digest, photos=found,
+        on_table=True, facts=facts, warnings=warnings, digest=artefact.digest, photos=found,
         found=_undistorted(a["found"], found, camera),
     )  # fmt: skip
 
@@ -317,7 +331,7 @@ def _undistorted(
 
 
 def _vessel(
-    options: ScanOptions, posed: PosedPhotos, stages: Stages, threads: int
+    options: ScanOptions, posed: PosedPhotos, work: Path, threads: int
 ) -> tuple[RevolvedSurface, list[View]]:
     """The surface of revolution of an unsprayed vessel, and the views with its masks.
 
@@ -328,7 +342,7 @@ def _vessel(
         return find_vessel(posed.views, posed.corners, wall_m=options.wall_m, threads=threads)
     if not posed.on_table:
         raise ToolkitError("needs the board, which tells what is upright", field="--revolve")
-    views = object_masks(options, posed, stages, threads)
+    views = object_masks(options, posed, work, threads)
     return _vessel_of_masks(views, options.wall_m), views
 
 

@@ -6,14 +6,16 @@ The exporters need only this part of the report, which they read without the che
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import msgspec
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document
-from std_toolkit.scene import document
+from std_toolkit.io.documents import digest_files, digest_of
+from std_toolkit.jobs.artefact import Record, read_record, record_path
 from std_toolkit.scene.scene import Scene
+
+# Input of the check's record: the documents and meshes, see `scene_fingerprint`.
+SCENE_INPUT = "labels, poses and meshes"
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class _Report(msgspec.Struct):
 
 def scene_fingerprint(scene: Scene) -> str:
     """Digest of the documents and meshes, on which the check of every frame depends."""
-    meshes = {m.id: _digest_or_none(scene.mesh_path(m)) for m in scene.objects.models}
-    return document.digest_of(
+    meshes = digest_files(scene.root, [scene.mesh_path(m) for m in scene.objects.models])
+    return digest_of(
         scene.info, scene.frame_table, scene.objects, scene.poses, scene.labels, meshes
     )
 
@@ -74,11 +76,10 @@ def read_check_flags(scene: Scene) -> CheckFlags | None:
         ToolkitError: the report is damaged.
     """
     path = scene.root / "check" / "report.json"
-    record_path = document.record_path(scene.root, "check")
-    if not path.is_file() or not record_path.is_file():
+    record = read_record(record_path(scene.root, "check"), Record)
+    if not path.is_file() or record is None:
         return None
-    record = read_document(record_path, document.Record)
-    if record.parameters.get("scene") != scene_fingerprint(scene):
+    if record.inputs.get(SCENE_INPUT) != scene_fingerprint(scene):
         return None
     try:
         report = msgspec.json.decode(path.read_bytes(), type=_Report)
@@ -94,7 +95,3 @@ def read_check_flags(scene: Scene) -> CheckFlags | None:
         if row.fault
     }
     return CheckFlags(frames, dict(sorted(objects.items())))
-
-
-def _digest_or_none(path: Path) -> str | None:
-    return document.digest_file(path) if path.is_file() else None

@@ -1,11 +1,7 @@
-"""Strict documents, names that are safe in file paths, and provenance records of a scene.
-
-The record of a step shows whether its outputs are up to date or have to be made again.
-"""
+"""Strict documents of a scene, and names that are safe in file paths."""
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from pathlib import Path
@@ -14,11 +10,9 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.documents import InvalidDocument, read_document, write_document
-from std_toolkit.log import logger
+from std_toolkit.io.documents import InvalidDocument
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 
@@ -158,87 +152,6 @@ def check_relative(text: str, *, path: Path | str | None = None, field: str = "p
             hint="paths in a scene are relative, without '..'",
         )
     return text
-
-
-class Record(Document, frozen=True, kw_only=True):
-    """Record of a finished step.
-
-    Attributes:
-        step: name of the step.
-        version: version of the toolkit that ran it.
-        digest: digest of everything that determines the result.
-        outputs: digest of the content by path relative to the scene folder.
-        parameters: options of the step, for readers; not evaluated.
-    """
-
-    step: str
-    version: str
-    digest: str
-    outputs: dict[str, str]
-    parameters: dict[str, Any]
-
-
-def digest_file(path: Path) -> str:
-    """Return the hex digest of the content of a file.
-
-    Raises:
-        ToolkitError: it is not a regular file (a pipe or device could block or never end).
-    """
-    if not path.is_file():
-        problem = "is not a regular file" if path.exists() else "file not found"
-        raise ToolkitError(problem, path=path)
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-
-
-def digest_of(*parts: Any, versioned: bool = True) -> str:
-    """Return the hex digest of plain values and documents.
-
-    Numbers must be finite: JSON encodes NaN as null, so different inputs would have one digest.
-
-    Args:
-        parts: the values.
-        versioned: include the version of the toolkit.
-    """
-    encoded = msgspec.json.encode([__version__ if versioned else "", *parts], order="sorted")
-    return hashlib.blake2b(encoded, digest_size=16).hexdigest()
-
-
-def record_path(root: Path, step: str) -> Path:
-    return root / ".std" / "records" / f"{step}.json"
-
-
-def is_fresh(root: Path, step: str, digest: str) -> bool:
-    """Return whether the step finished with these inputs and its outputs are unchanged."""
-    path = record_path(root, step)
-    if not path.exists():
-        return False
-    try:
-        record = read_document(path, Record)
-    except ToolkitError as error:
-        # A record is only a cache, so running the step again is always correct.
-        logger.warning("%s; running the step again", error)
-        return False
-    return record.digest == digest and all(
-        (root / name).is_file() and digest_file(root / name) == content
-        for name, content in record.outputs.items()
-    )
-
-
-def write_record(
-    root: Path, step: str, digest: str, *, outputs: list[Path], parameters: dict[str, Any]
-) -> None:
-    """Write the record of a finished step, after its outputs."""
-    write_document(
-        record_path(root, step),
-        Record(
-            step=step,
-            version=__version__,
-            digest=digest,
-            outputs={p.relative_to(root).as_posix(): digest_file(p) for p in sorted(outputs)},
-            parameters=parameters,
-        ),
-    )
 
 
 def check_in_front(

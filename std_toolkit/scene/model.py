@@ -39,6 +39,7 @@ from std_toolkit.scene.pose_model import (
     Gate,
     LabelProvenance,
     ObjectAnnotation,
+    RecordedLens,
     ScaleEstimate,
     ScaleReport,
 )
@@ -71,6 +72,7 @@ __all__ = [
     "ObjectTable",
     "Pose16",
     "Positive",
+    "RecordedLens",
     "ScaleEstimate",
     "ScaleReport",
     "SceneInfo",
@@ -111,6 +113,8 @@ class SceneInfo(Document, frozen=True, kw_only=True):
         depth_scale: metres per unit of 16-bit depth images; null if all depth is EXR or absent.
         depth_correction: factor on all sensor depth, from a calibration of the sensor.
         source: origin of the recording, such as "import:folder".
+        recorded_lenses: lens of the recorded images by camera id, where the images of the scene
+            are undistorted; absent for others.
     """
 
     format: Literal["std-toolkit-scene"] = "std-toolkit-scene"
@@ -120,6 +124,7 @@ class SceneInfo(Document, frozen=True, kw_only=True):
     depth_scale: Positive | None = None
     depth_correction: Annotated[float, msgspec.Meta(gt=0.8, lt=1.25)] = 1.0
     source: str = ""
+    recorded_lenses: dict[str, RecordedLens] | msgspec.UnsetType = msgspec.UNSET
 
     def check(self) -> None:
         check_name(self.name)

@@ -14,6 +14,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.camera_models import lens_of
 from std_toolkit.scene import document
 from std_toolkit.scene.scale_model import ScaleEstimate, ScaleReport
 
@@ -26,6 +27,7 @@ __all__ = [
     "Gate",
     "LabelProvenance",
     "ObjectAnnotation",
+    "RecordedLens",
     "ScaleEstimate",
     "ScaleReport",
     "Time",
@@ -119,6 +121,12 @@ class CameraModel(document.Document, frozen=True, kw_only=True):
 
     @staticmethod
     def of(camera: Camera) -> CameraModel:
+        """The document of a camera.
+
+        Raises:
+            ToolkitError: a lens that documents cannot state, such as a fisheye.
+        """
+        _ = camera.opencv_distortion
         return CameraModel(
             width=camera.width,
             height=camera.height,
@@ -127,6 +135,27 @@ class CameraModel(document.Document, frozen=True, kw_only=True):
             cx=camera.cx,
             cy=camera.cy,
             distortion=list(camera.distortion),
+        )
+
+
+class RecordedLens(document.Document, frozen=True, kw_only=True):
+    """The lens that images had before they were undistorted; see `geometry.Camera`."""
+
+    model: str
+    fx: document.Positive
+    fy: document.Positive
+    cx: float
+    cy: float
+    distortion: list[float] = msgspec.field(default_factory=list)
+
+    def check(self) -> None:
+        lens_of(self.model, tuple(self.distortion))
+
+    @staticmethod
+    def of(camera: Camera) -> RecordedLens:
+        c = camera
+        return RecordedLens(
+            model=c.model, fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy, distortion=list(c.distortion)
         )
 
 

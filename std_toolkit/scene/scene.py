@@ -16,8 +16,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, check_depth_unit
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import atomic, documents, images
+from std_toolkit.io.documents import digest_file
 from std_toolkit.scene import frame_names
-from std_toolkit.scene.document import digest_file
 from std_toolkit.scene.model import (
     Annotation,
     CameraPoses,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.conftest import program_missing
+from tests.skips import program_missing
 
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication

@@ -22,7 +22,7 @@ from benchmark.evaluation.results import (
     read_table,
 )
 from benchmark.evaluation.tasks.depth_speed import SPEED, Speed
-from benchmark.metrics.depth.tally import NAMES
+from benchmark.metrics.depth.figures import COVERAGE, FIGURES, NAMES
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
@@ -33,16 +33,7 @@ GROUPS = ("split", "protocol", "method", "grid", "subset")
 
 OVER_ALL = (*NAMES, "coverage")
 
-# Column, heading, factor and format. Errors are shown in millimetres, fractions in percent.
-_COLUMNS = (
-    ("rmse", "RMSE mm", 1e3, "{:.1f}"),
-    ("rel", "REL", 1.0, "{:.4f}"),
-    ("mae", "MAE mm", 1e3, "{:.1f}"),
-    ("d105", "d1.05 %", 1e2, "{:.2f}"),
-    ("d110", "d1.10 %", 1e2, "{:.2f}"),
-    ("d125", "d1.25 %", 1e2, "{:.2f}"),
-    ("coverage", "answered %", 1e2, "{:.2f}"),
-)
+_COLUMNS = (*(figure.column for figure in FIGURES), COVERAGE)
 
 _SUBSETS = ("all", "specular+transparent")
 
@@ -75,7 +66,7 @@ def summarise(
     Raises:
         ToolkitError: a column is missing.
 
-    >>> from benchmark.metrics.depth.depth_numpy import depth_errors
+    >>> from benchmark.metrics.depth.depth_metrics import depth_errors
     >>> images = [depth_errors(np.full(2, x), np.ones(2)).as_dict() for x in (1.0, 1.5)]
     >>> table = summarise(pd.DataFrame([{"method": "raw", **image} for image in images]))
     >>> table[["method", "frames", "mae"]].to_numpy().tolist()
@@ -214,6 +205,8 @@ def _means(results: Sequence[RunResult]) -> Iterator[tuple[tuple[str, str, str],
 def _table(means: pd.DataFrame) -> str:
     shown = pd.DataFrame({"method": means["method"], "objects": means["subset"]})
     shown["frames"] = means["frames"].astype(str)
-    for column, heading, factor, form in _COLUMNS:
-        shown[heading] = [form.format(value * factor) for value in means[column]]
+    for column in _COLUMNS:
+        heading = f"{column.heading.replace('δ', 'd')} {column.unit}".rstrip()
+        values = means[column.name] * column.factor
+        shown[heading] = [f"{value:.{column.digits}f}" for value in values]
     return text_table(list(shown.columns), shown.to_numpy().tolist()).terminal()

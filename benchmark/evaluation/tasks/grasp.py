@@ -28,9 +28,9 @@ from benchmark.tabletop.arrange import arrange, round_seed
 from benchmark.tabletop.saved_views import named_view, save_view
 from benchmark.tabletop.scene_tables import open_scene_tables
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
-from std_toolkit.scene.document import digest_file
 
 if TYPE_CHECKING:
     from sensors.assets import AssetSource

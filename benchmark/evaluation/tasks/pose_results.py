@@ -113,9 +113,7 @@ class PoseResult(Result[PoseManifest]):
     @property
     def given_truth(self) -> bool:
         """Whether the method receives ground truth, and is a bound and no competitor."""
-        setup = self.manifest.setup
-        known = setup.method == "gt-nocs" or setup.settings.get("masks") == "true"
-        return setup.given_truth or known  # older results do not say
+        return self.manifest.setup.given_truth
 
     @property
     def failed(self) -> int:

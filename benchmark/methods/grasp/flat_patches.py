@@ -11,12 +11,13 @@ from benchmark.methods.grasp.antipodal.antipodal import check_limits, off_middle
 from benchmark.methods.grasp.antipodal.hands import obstacles_of
 from benchmark.methods.grasp.antipodal.surface import surface_of, table_of
 from benchmark.methods.protocol import GraspView
-from benchmark.methods.registry import MethodOptions, configured
+from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.grasp.collision import Cloud
 from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
 from benchmark.metrics.grasp.gripper import Boxes
 from benchmark.metrics.grasp.suction import SuctionCup, ring_stretch
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.plugins import configured
 
 Floats = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Farthest-point sampling and neighbourhoods of points."""
+"""Farthest-point sampling, neighbourhoods of points, Chamfer distance."""
 
 from __future__ import annotations
 
@@ -127,3 +127,19 @@ def farthest_points(points: Tensor, count: int) -> Tensor:
         newest = left.argmax(dim=1, keepdim=True)
         chosen[:, step] = newest[:, 0]
     return chosen
+
+
+def one_way(points: Tensor, others: Tensor) -> Tensor:
+    """(b, n) squared distance from each point to the nearest of the others, with gradient to both.
+
+    Args:
+        points: (b, n, 3).
+        others: (b, m, 3).
+    """
+    index = nearest(others.detach(), points.detach(), 1)[1][..., 0]
+    return (points - at(others.transpose(1, 2), index).transpose(1, 2)).square().sum(dim=2)
+
+
+def chamfer(a: Tensor, b: Tensor) -> Tensor:
+    """(batch,) mean squared distances to the nearest point, from a to b and from b to a, added."""
+    return one_way(a, b).mean(dim=1) + one_way(b, a).mean(dim=1)

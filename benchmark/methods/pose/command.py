@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.methods.protocol import Estimated, PoseView
-from benchmark.methods.registry import COMMAND, MethodOptions, configured
+from benchmark.methods.registry import COMMAND, MethodOptions
 from benchmark.metrics.bop.bop_file import BopEstimate, read_bop_results
 from benchmark.metrics.bop.bop_model import read_vertices
 from benchmark.metrics.pose.pose_frames import PosePrediction
@@ -28,6 +28,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import nearest_rotation
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import write_png
+from std_toolkit.plugins import configured
 
 RESULTS = "results.csv"
 

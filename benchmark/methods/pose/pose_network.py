@@ -148,21 +148,6 @@ class NetworkEstimator:
         return self.inputs(color, depth, torch.from_numpy(K).float().to(self.device))
 
 
-def points_of(depth: Tensor, K: Tensor) -> Tensor:
-    """(b, 3, h, w) points in the camera frame, metres; 0 where there is no depth.
-
-    Args:
-        depth: (b, 1, h, w) metres.
-        K: (b, 3, 3) intrinsics at this size.
-    """
-    h, w = depth.shape[-2:]
-    v = torch.arange(h, dtype=depth.dtype, device=depth.device)[:, None]
-    u = torch.arange(w, dtype=depth.dtype, device=depth.device)
-    fx, fy, cx, cy = (K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    z = depth[:, 0]
-    return torch.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], dim=1)
-
-
 def posed(
     found: Segmented,
     coordinates: NDArray[np.float32],

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from benchmark.data.frame import Instance, resize_nearest
+from benchmark.methods.torch_camera import points_at
 from std_toolkit.errors import ToolkitError
 
 # With fewer pixels that have depth, points would be the same few again and again.
@@ -173,8 +174,7 @@ def crop_object(
     grid = affine_grid(theta[None], [1, 3, side, side], align_corners=False)
     patch = grid_sample(color[None].float(), grid, align_corners=False)[0]
     z = depth.flatten()[chosen].float()
-    x = (column - K[0, 2]) * z / K[0, 0]
-    y = (row - K[1, 2]) * z / K[1, 1]
+    x, y = points_at(column, row, z, K)
     x, y = _turned(x, y, -placed.turn)
     right, down = _turned(column + 0.5 - middle[0], row + 0.5 - middle[1], -placed.turn)
     at_row = ((down + size / 2) * side / size).floor().long().clamp(0, side - 1)

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from benchmark.methods.network import network_of
 from benchmark.methods.pointnet.layers import FeaturePropagation, Scale, SetAbstraction, SharedMLP
-from benchmark.methods.pose import deformation, spd_network
+from benchmark.methods.pose import deformation, spd
 from benchmark.methods.pose.crop_estimator import CropEstimator
 from benchmark.methods.pose.released_keys import sgpa_state
 from benchmark.methods.registry import MethodOptions
@@ -39,7 +39,7 @@ _UP_RELEASED = ((64, 64), (128, 128), (256, 256), (512, 512))
 
 
 @dataclass(frozen=True, kw_only=True)
-class SGPAConfig(spd_network.PriorNetworkConfig):
+class SGPAConfig(spd.PriorNetworkConfig):
     """The network; see `PriorNetworkConfig`.
 
     Attributes:
@@ -88,7 +88,7 @@ PRESETS = {
 }
 
 
-class SGPANetwork(spd_network.PriorNetwork):
+class SGPANetwork(spd.PriorNetwork):
     """Patches and points of objects to `Deformed`.
 
     Raises:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.metrics.depth.depth_numpy import check_shapes, depth_errors
-from benchmark.metrics.depth.tally import Errors, Missing, check_reportable
+from benchmark.metrics.depth.depth_metrics import checked, depth_errors, image_errors
+from benchmark.metrics.depth.figures import Errors, Missing, check_reportable, namespace
 from std_toolkit.errors import ToolkitError
 
 _NAMES = tuple(f.name for f in fields(Errors) if f.name not in ("n_pixels", "n_answered"))
@@ -71,15 +71,12 @@ class DepthMetrics:
         """
         if pred.ndim not in (2, 3):
             raise ToolkitError("must be (B, H, W) or (H, W)", field="pred", value=tuple(pred.shape))
-        shapes = [None if a is None else tuple(a.shape) for a in (pred, true, valid)]
-        check_shapes(*shapes)  # type: ignore[arg-type]
+        pred, true, valid = checked(pred, true, valid)
         if pred.ndim == 2:
             pred, true = pred[None], true[None]
             valid = None if valid is None else valid[None]
-        if type(pred).__module__.partition(".")[0] == "torch":
-            from benchmark.metrics.depth import depth_torch
-
-            found = depth_torch.depth_errors(pred, true, valid, missing=self.missing)
+        if namespace(pred) is not np:
+            found = image_errors(pred, true, valid, missing=self.missing)
             self._take({name: tensor.cpu().numpy() for name, tensor in found.items()})
             return
         for i in range(len(pred)):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import Instance, Material, Size
-from benchmark.metrics.depth.tally import Missing, check_reportable
+from benchmark.metrics.depth.figures import Missing, check_reportable
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import Registry
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Size, pixels_taken
-from benchmark.metrics.depth.tally import Errors, tally
+from benchmark.metrics.depth.figures import Errors
+from benchmark.metrics.depth.tally import tally
 from benchmark.metrics.protocols.protocol import DEPTH_SUBSET, Grid, Protocol, Subset
 from std_toolkit.errors import ToolkitError
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from benchmark.training.depth.depth_losses import points
+from benchmark.methods.torch_camera import points_of
 from benchmark.training.step import Loss
 
 NONE, OCCLUSION, CONTACT = 0, 1, 2  # classes of boundaries
@@ -56,7 +56,7 @@ def outlines_of(depth: Tensor, mask: Tensor, K: Tensor, gap: float) -> Outlines:
     occlusion, contact = torch.zeros_like(known), torch.zeros_like(known)
     unclear = ~known
     steps = []
-    at = points(depth, K)
+    at = points_of(depth, K)
     for axis in (2, 1):  # along rows, along columns
         both = _ahead(known, axis) & known
         both = both & _inside(known, axis)

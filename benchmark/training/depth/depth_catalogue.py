@@ -22,6 +22,7 @@ from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS as SWIND
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork
 from benchmark.methods.depth.two_branch import PRESETS as TWO_BRANCH
 from benchmark.methods.depth.two_branch import TwoBranchNetwork
+from benchmark.methods.torch_camera import points_of
 from benchmark.training import step
 from benchmark.training.catalogue import Trainable
 from benchmark.training.config import Optimization
@@ -137,7 +138,7 @@ def rays_step(
     step_info: step.StepInfo,  # noqa: ARG001
 ) -> step.Loss:
     """The step of a network from colour, depth and rays to `Prediction`."""
-    rays = depth_losses.points(torch.ones_like(inputs.depth), inputs.batch["K"])
+    rays = points_of(torch.ones_like(inputs.depth), inputs.batch["K"])
     prediction = step.in_full_precision(network(inputs.color, inputs.depth, rays))
     with torch.autocast(inputs.color.device.type, enabled=False):
         return loss(prediction, step.target_of(inputs.batch)._replace(sensor=inputs.depth))
@@ -146,9 +147,7 @@ def rays_step(
 def rays_depth(network: nn.Module, batch: step.Batch) -> Tensor:
     """(b, h, w) metres that such a network restores."""
     color, depth = step.network_inputs(batch)
-    return network(color, depth, depth_losses.points(torch.ones_like(depth), batch["K"])).depth[
-        :, 0
-    ]
+    return network(color, depth, points_of(torch.ones_like(depth), batch["K"])).depth[:, 0]
 
 
 # Its training is not published: that of SwinDRNet, which it is compared with.

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy, conv2d, max_pool2d, pad
 
 from benchmark.methods.network import Prediction
+from benchmark.methods.torch_camera import points_of
 from benchmark.training.step import Loss, Target, mean_where, object_weights, weighted_mean
 
 _SOBEL = ((-1.0, 0.0, 1.0), (-2.0, 0.0, 2.0), (-1.0, 0.0, 1.0))
@@ -57,7 +58,7 @@ def normals(depth: Tensor, K: Tensor) -> Tensor:
         (b, 3, h, w), away from the camera where depth is positive. The last row and column repeat
         their neighbours.
     """
-    at = points(depth, K)
+    at = points_of(depth, K)
     here = at[..., :-1, :-1]
     to_right, below = at[..., :-1, 1:] - here, at[..., 1:, :-1] - here
     across = torch.linalg.cross(to_right, below, dim=1)
@@ -70,20 +71,6 @@ def whole_around(known: Tensor) -> Tensor:
     """(b, 1, h, w) bool: pixels whose 3x3 surroundings are known, as far as the image goes."""
     unknown = (~known).to(torch.float32)
     return max_pool2d(unknown, 3, stride=1, padding=1) == 0
-
-
-def points(depth: Tensor, K: Tensor) -> Tensor:
-    """(b, 3, h, w) points in the camera frame."""
-    h, w = depth.shape[-2:]
-    v, u = torch.meshgrid(
-        torch.arange(h, dtype=depth.dtype, device=depth.device),
-        torch.arange(w, dtype=depth.dtype, device=depth.device),
-        indexing="ij",
-    )
-    K = K.to(depth.dtype)
-    fx, fy, cx, cy = (K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    z = depth[:, 0]
-    return torch.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], dim=1)
 
 
 @dataclass(frozen=True, kw_only=True)

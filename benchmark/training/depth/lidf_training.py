@@ -12,8 +12,9 @@ from torch import Tensor, nn
 from benchmark.data.frame import Material
 from benchmark.methods.depth.lidf.lidf import LIDFNetwork, LIDFPrediction
 from benchmark.methods.depth.lidf.voxels import Terminations, true_pairs
+from benchmark.methods.torch_camera import points_of
 from benchmark.training import step
-from benchmark.training.depth.depth_losses import normals, points
+from benchmark.training.depth.depth_losses import normals
 
 COARSE, REFINE, HARD = "coarse", "refine", "hard"  # phases of the training
 
@@ -45,7 +46,7 @@ class LIDFLoss:
 
     def __call__(self, prediction: LIDFPrediction, target: step.Target, phase: str) -> step.Loss:
         depth = prediction.depth.to(target.depth.dtype)
-        rays = points(torch.ones_like(target.depth), target.K)
+        rays = points_of(torch.ones_like(target.depth), target.K)
         reach = rays.abs().mean(dim=1, keepdim=True)
         apart = (depth - target.depth).abs() * reach
         known = predicted(prediction) & (target.depth > 0)
@@ -107,7 +108,7 @@ def lidf_inputs(network: LIDFNetwork, inputs: step.ModelInput) -> tuple[Tensor, 
     """Colour, depth, rays, which depth is believed and which pixels are asked for, as the restorer
     gives them to the network."""
     color, depth, batch = inputs
-    rays = points(torch.ones_like(depth), batch["K"])
+    rays = points_of(torch.ones_like(depth), batch["K"])
     believed = depth > 0
     if network.config.mask == "objects":
         believed &= ~step.made_of(batch, Material.TRANSPARENT, Material.SPECULAR)[:, None]

@@ -26,8 +26,9 @@ from benchmark.training.options import GraspPackOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
-from std_toolkit.io.documents import begin_folder, read_document, write_document
+from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.artefact import begin
 
 # A point on an object has the grasps of the labelled point that is nearest, unless that is
 # farther than so many spacings.
@@ -101,16 +102,7 @@ def begin_pack(
         ToolkitError: it was begun with something else, or the folder holds something else.
     """
     setup = _setup_of(options, network)
-    begun = begin_folder(folder / pack_files.PACK, setup, hint="choose another one")
-    for name in pack_files.GraspPackSetup.__struct_fields__:
-        if getattr(begun, name) != getattr(setup, name):
-            raise ToolkitError(
-                f"this pack was begun with {getattr(begun, name)!r}",
-                path=folder / pack_files.PACK,
-                field=name,
-                value=getattr(setup, name),
-                hint="choose another folder",
-            )
+    begin(folder / pack_files.PACK, setup, what="this pack was", hint="choose another folder")
     return setup
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
 from benchmark.data.frame import BACKGROUND
-from benchmark.methods.pointnet.chamfer import chamfer, one_way
+from benchmark.methods.pointnet.grouping import chamfer, one_way
 from benchmark.methods.pose.deformation import Deformed
 from benchmark.methods.pose.segmented import (
     Crop,
@@ -22,6 +22,7 @@ from benchmark.methods.pose.segmented import (
     turned_about_z,
     with_mask,
 )
+from benchmark.methods.torch_camera import points_at
 from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.step import Batch, Loss
 from std_toolkit.errors import ToolkitError
@@ -279,8 +280,7 @@ def _truth(batch: Batch, frame: int, chosen: Tensor) -> tuple[Tensor, Tensor, Te
     z = batch["true"][frame].flatten()[chosen]
     w = batch["true"].shape[2]
     K = batch["K"][frame]
-    x = (chosen % w - K[0, 2]) * z / K[0, 0]
-    y = (chosen // w - K[1, 2]) * z / K[1, 1]
+    x, y = points_at(chosen % w, chosen // w, z, K)
     known = (nocs > 0).any(dim=1) & (z > 0)
     return nocs.float() / 255 - 0.5, torch.stack([x, y, z], dim=1), known
 

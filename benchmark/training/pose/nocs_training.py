@@ -15,11 +15,12 @@ from torch import Tensor, nn
 from benchmark.data.frame import BACKGROUND
 from benchmark.methods.pose.nocs.detector import Regions, boxes_of_ids
 from benchmark.methods.pose.nocs.nocs import NOCSNetwork, NOCSPrediction, objects_of
-from benchmark.methods.pose.pose_network import Found, points_of
+from benchmark.methods.pose.pose_network import Found
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
     BACKGROUND_CLASS,
     SwinNOCSPrediction,
 )
+from benchmark.methods.torch_camera import points_of
 from benchmark.training.pose import nocs_losses
 from benchmark.training.step import Batch, Loss, ModelInput, StepInfo, network_inputs
 from benchmark.training.validation import Context, Validator

@@ -14,8 +14,8 @@ from benchmark.methods.pose.nocs.nocs_backbone import PRESETS as NOCS
 from benchmark.methods.pose.nocs.nocs_backbone import load_imagenet as load_resnet
 from benchmark.methods.pose.sgpa import PRESETS as SGPA
 from benchmark.methods.pose.sgpa import SGPANetwork
-from benchmark.methods.pose.spd_network import PRESETS as SPD
-from benchmark.methods.pose.spd_network import SPDNetwork, load_imagenet
+from benchmark.methods.pose.spd import PRESETS as SPD
+from benchmark.methods.pose.spd import SPDNetwork, load_imagenet
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import begin_pose_network, pose_network
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import PRESETS as SWINDRNET_NOCS
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import SwinNOCSNetwork

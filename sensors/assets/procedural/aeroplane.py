@@ -49,7 +49,7 @@ def _jet(rng: np.random.Generator, paint: solids.Paint, plan: str) -> Manifold:
             0.34 * chord,
             0.13,
         )
-        made = made + paint(wing, solids.one_of(rng, body, solids.SILVER))
+        made += paint(wing, solids.one_of(rng, body, solids.SILVER))
         if plan != "business":
             count = 2 if plan == "jumbo" else 1
             for k in range(count):
@@ -57,24 +57,24 @@ def _jet(rng: np.random.Generator, paint: solids.Paint, plan: str) -> Manifold:
                 x = side * share * span
                 y = -0.5 * r + 0.09 * span * share - 0.36
                 z = wing_z + sweep * share - 0.15
-                made = made + _engine(paint, (x, y, z), 0.33 if count == 1 else 0.27, 1.25, accent)
+                made += _engine(paint, (x, y, z), 0.33 if count == 1 else 0.27, 1.25, accent)
                 pylon = solids.box((x - 0.04, y + 0.1, z - 0.3), (x + 0.04, y + 0.42, z + 0.65))
-                made = made + paint(pylon, solids.GREY)
+                made += paint(pylon, solids.GREY)
         else:
             x = side * (r + 0.3)
-            made = made + _engine(paint, (x, 0.35 * r, 2.2), 0.3, 1.5, accent)
-            made = made + paint(
+            made += _engine(paint, (x, 0.35 * r, 2.2), 0.3, 1.5, accent)
+            made += paint(
                 solids.box((min(0, x), 0.3 * r - 0.05, 2.0), (max(0, x), 0.3 * r + 0.05, 2.8)), body
             )
     t_tail = plan == "business" or rng.uniform() < 0.2
     height = float(rng.uniform(1.8, 2.2))
     fin = _wing((0, 0.3 * r, 3.2), (0, 0.3 * r + height, 4.6), 1.7, 0.8, 0.1)
-    made = made + paint(fin, accent)
+    made += paint(fin, accent)
     at = 0.3 * r + (0.96 * height if t_tail else 0.15)
     for side in (-1, 1):
         z = 4.45 if t_tail else 3.7
         stab = _wing((0, at, z), (side * 1.75, at + 0.12, z + 0.8), 1.05, 0.45, 0.1)
-        made = made + paint(stab, accent if t_tail else body)
+        made += paint(stab, accent if t_tail else body)
     return made
 
 
@@ -93,11 +93,11 @@ def _propeller(rng: np.random.Generator, paint: solids.Paint, *, biplane: bool) 
         pit = solids.rod((0, 0.55 * r, 0.35), (0, 2 * r, 0.35), 0.45, None, 28)
         made = paint(hull, body) - paint(pit, solids.DARK)
         screen = solids.ellipsoid((0.8, 0.6, 0.12), 16).translate([0, 0.95 * r, -0.2])
-        made = made + paint(screen, solids.GLASS)
+        made += paint(screen, solids.GLASS)
     else:
         made = paint(hull, body) + paint(cabin, solids.GLASS)
         frame = solids.box((-0.72 * r, 0.5, -0.85), (0.72 * r, 1.52 * r, -0.72))
-        made = made + paint(frame ^ cabin.scale([1.02, 1.02, 1.0]), body)
+        made += paint(frame ^ cabin.scale([1.02, 1.02, 1.0]), body)
     span, chord = float(rng.uniform(4.4, 5.2)), float(rng.uniform(1.5, 1.8))
     sweep = float(rng.uniform(-0.1, 0.35))
     levels = [1.5 * r] if high_wing else [-0.55 * r]
@@ -110,7 +110,7 @@ def _propeller(rng: np.random.Generator, paint: solids.Paint, *, biplane: bool) 
         for side in (-1, 1):
             end = (side * span, level + rise, z + sweep)
             wing = _wing((-side * 0.05, level, z), end, chord, chord * 0.8, 0.12)
-            made = made + paint(wing, accent)
+            made += paint(wing, accent)
     if biplane:
         for side in (-1, 1):
             for z in (-1.5, -0.6):
@@ -118,20 +118,20 @@ def _propeller(rng: np.random.Generator, paint: solids.Paint, *, biplane: bool) 
                 strut = solids.rod(
                     (x, levels[0], z + 0.2), (x, levels[1] + 0.05, z), 0.05, None, 10
                 )
-                made = made + paint(strut, solids.DARK)
+                made += paint(strut, solids.DARK)
                 brace = solids.rod(
                     (side * 0.4, 0.5 * r, z), (side * 0.6, levels[1], z), 0.05, None, 10
                 )
-                made = made + paint(brace, solids.DARK)
+                made += paint(brace, solids.DARK)
     elif high_wing:
         for side in (-1, 1):
             foot, tip = (side * 0.6 * r, -0.4 * r, -1.1), (side * 0.5 * span, levels[0], -1.2)
-            made = made + paint(solids.rod(foot, tip, 0.05, None, 10), solids.GREY)
-    made = made + _nose(rng, paint)
-    made = made + paint(_wing((0, 0, 3.2), (0, 1.6, 4.2), 1.5, 0.75, 0.1), accent)
+            made += paint(solids.rod(foot, tip, 0.05, None, 10), solids.GREY)
+    made += _nose(rng, paint)
+    made += paint(_wing((0, 0, 3.2), (0, 1.6, 4.2), 1.5, 0.75, 0.1), accent)
     for side in (-1, 1):
         stab = _wing((0, 0.15, 3.4), (side * 1.7, 0.2, 3.8), 1.1, 0.7, 0.1)
-        made = made + paint(stab, accent)
+        made += paint(stab, accent)
     return made + _undercarriage(paint, r)
 
 
@@ -139,9 +139,7 @@ def _nose(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """Spinner and blades."""
     z = -4.25
     blades = int(rng.integers(2, 5))
-    cone = solids.turned(
-        solids.outline_of_turn([(0.3, 0), (0.27, 0.2), (0.17, 0.42), (0.03, 0.55)]), 32
-    )
+    cone = solids.lathe([(0.3, 0), (0.27, 0.2), (0.17, 0.42), (0.03, 0.55)], 32)
     made = paint(cone.rotate([-90, 0, 0]).translate([0, -0.03, z + 0.08]), solids.SILVER)
     length = float(rng.uniform(1.2, 1.5))
     blade = (
@@ -149,7 +147,7 @@ def _nose(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     )
     for k in range(blades):
         part = blade.rotate([0, 0, 360 * k / blades + 20]).translate([0, -0.03, z])
-        made = made + paint(part, solids.DARK)
+        made += paint(part, solids.DARK)
     return made
 
 
@@ -176,13 +174,13 @@ def _fighter(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     spine += [(-1.0, 1.0, 0.0), (2.0, 1.02, 0.0), (4.2, 0.72, 0.0), (4.4, 0.68, 0.0)]
     hull = _fuselage(spine, r, flat=0.9)
     made = paint(hull, body)
-    made = made + paint(
+    made += paint(
         solids.ellipsoid((0.72 * r, 1.05 * r, 2.3), 28).translate([0, 0.62 * r, -2.5]), solids.GLASS
     )
     for side in (-1, 1):
         intake = solids.loft(_rounded_rings(side * 0.95 * r, -0.1 * r, 0.4, 0.52, (-1.6, 2.8)))
-        made = made + paint(intake, body)
-        made = made - paint(
+        made += paint(intake, body)
+        made -= paint(
             solids.loft(_rounded_rings(side * 0.97 * r, -0.1 * r, 0.3, 0.42, (-2.0, -1.1))),
             solids.DARK,
         )
@@ -194,13 +192,13 @@ def _fighter(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
         wing = _wing(
             (0, -0.1 * r, front - 0.4), (side * span, -0.1 * r, front + root - 0.9), root, tip, 0.06
         )
-        made = made + paint(wing, darker)
+        made += paint(wing, darker)
         if delta:
             canard = _wing((0, 0.1 * r, -2.3), (side * 1.6, 0.15 * r, -1.5), 1.2, 0.4, 0.07)
-            made = made + paint(canard, darker)
+            made += paint(canard, darker)
         else:
             stab = _wing((0, 0, 3.2), (side * 1.9, -0.05, 4.3), 1.4, 0.6, 0.07)
-            made = made + paint(stab, darker)
+            made += paint(stab, darker)
         rail = solids.rod(
             (side * span, -0.1 * r, front + root - 1.5),
             (side * span, -0.1 * r, front + root + 0.4),
@@ -208,17 +206,17 @@ def _fighter(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
             None,
             14,
         )
-        made = made + paint(rail, solids.WHITE)
+        made += paint(rail, solids.WHITE)
     twin = rng.uniform() < 0.6
     for x in (-0.75 * r, 0.75 * r) if twin else (0.0,):
         fin = _wing((x, 0.4 * r, 2.6), (1.7 * x, 0.4 * r + 1.65, 4.1), 1.6, 0.7, 0.07)
-        made = made + paint(fin, darker)
+        made += paint(fin, darker)
     for x in (-0.5 * r, 0.5 * r) if twin else (0.0,):
         nozzle = solids.turned(
             solids.outline_of_turn([(0.42, 0.0), (0.34, 0.7)])
             - solids.outline_of_turn([(0.3, 0.35), (0.26, 0.8)])
         )
-        made = made + paint(nozzle.rotate([90, 0, 0]).translate([x, 0, 4.1]), solids.DARK)
+        made += paint(nozzle.rotate([90, 0, 0]).translate([x, 0, 4.1]), solids.DARK)
     return made
 
 
@@ -303,7 +301,7 @@ def _engine(
         - paint(solids.turned(jet, 40), solids.DARK)
     )
     cone = solids.outline_of_turn([(0.04, 0.06 * length), (0.26 * radius, 0.3 * length)])
-    made = made + paint(solids.turned(cone, 24), solids.SILVER)
+    made += paint(solids.turned(cone, 24), solids.SILVER)
     # Bodies of revolution have their axis along y; nacelles have it along z.
     return made.rotate([90, 0, 0]).translate(list(at))
 
@@ -323,5 +321,5 @@ def _with_glass(
     """The hull with window openings; a slightly thinner body of glass fills them."""
     shell = paint(hull, color)
     for window in windows:
-        shell = shell - paint(window, solids.DARK)
+        shell -= paint(window, solids.DARK)
     return shell + paint(hull.scale([0.965, 0.97, 0.993]), solids.GLASS)

@@ -42,17 +42,11 @@ def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     lip, at = neck * rng.uniform(1.1, 1.22), h - rng.uniform(0.5, 0.9)
     for side in (-1, 1):
         ring = solids.rectangle((side * opening, at - 0.35), (side * lip, at + 0.1))
-        section = section + solids.rounded(ring, 0.12)
-    body = paint(solids.turned(section), _glass(plan, rng))
-    parts = [body]
+        section += solids.rounded(ring, 0.12)
+    made = paint(solids.turned(section), _glass(plan, rng))
     if rng.uniform() < 0.6:
-        parts.append(
-            paint(
-                solids.turned(_cap(plan, rng, h, neck, lip)),
-                solids.one_of(rng, solids.WHITE, solids.vivid(rng)),
-                "cap",
-            )
-        )
+        cap = solids.turned(_cap(plan, rng, h, neck, lip))
+        made += paint(cap, solids.one_of(rng, solids.WHITE, solids.vivid(rng)), "cap")
         # A gap, so that no face of the contents coincides with one of the glass.
         room = solids.outline_of_turn(profile[profile[:, 1] <= neck_base * h])
         room = room.offset(-wall - _GAP, JoinType.Round, 2.0, 32)
@@ -60,14 +54,8 @@ def bottle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
         paint.cavity = solids.turned(solids.rounded(room, 0.3 * base))
     label = _label(profile, shoulder * h, rng)
     if label is not None:
-        parts.append(
-            paint(
-                solids.turned(label), solids.one_of(rng, solids.WHITE, solids.vivid(rng)), "label"
-            )
-        )
-    made = parts[0]
-    for part in parts[1:]:
-        made = made + part
+        color = solids.one_of(rng, solids.WHITE, solids.vivid(rng))
+        made += paint(solids.turned(label), color, "label")
     return made
 
 
@@ -215,20 +203,14 @@ def _drink(rng: np.random.Generator, paint: solids.Paint, r: float, plan: str) -
         (neck + 0.05, h - 0.55),
         (neck, h - 0.4),
     ]
-    printed = paint(solids.turned(solids.outline_of_turn(side)), solids.vivid(rng))
+    printed = paint(solids.lathe(side), solids.vivid(rng))
     rim = [(neck - 0.1, h - 0.7), (neck, h - 0.4), (neck + 0.14, h - 0.15), (neck + 0.02, h)]
-    lid = solids.turned(solids.rounded(solids.outline_of_turn(rim), 0.06))
-    dish = solids.turned(solids.outline_of_turn([(neck - 0.45, h - 0.5), (neck - 0.22, h + 0.1)]))
+    lid = solids.lathe(rim, edge=0.06)
+    dish = solids.lathe([(neck - 0.45, h - 0.5), (neck - 0.22, h + 0.1)])
     # The bottom is domed inwards.
-    dome = solids.turned(
-        solids.outline_of_turn(
-            [(0.66 * r, -0.1), (0.6 * r, 0.18), (0.4 * r, 0.5), (0.15 * r, 0.66)]
-        )
-    )
+    dome = solids.lathe([(0.66 * r, -0.1), (0.6 * r, 0.18), (0.4 * r, 0.5), (0.15 * r, 0.66)])
     color = solids.metal(rng)
-    base = solids.turned(
-        solids.outline_of_turn([(0.73 * r, -0.02), (0.79 * r, 0.12), (0.93 * r, 0.6)])
-    )
+    base = solids.lathe([(0.73 * r, -0.02), (0.79 * r, 0.12), (0.93 * r, 0.6)])
     made = printed + paint(base, color) + paint(lid, color)
     return made - paint(dish, color) - paint(dome, color)
 
@@ -241,45 +223,32 @@ def _tin(rng: np.random.Generator, paint: solids.Paint, r: float, h: float) -> M
     if beads:
         inside = np.clip((heights - 0.28 * h) / (0.44 * h), 0, 1)
         radius -= 0.09 * np.sin(np.pi * inside * (2 * beads + 1)) ** 2
-    body = solids.turned(solids.outline_of_turn(np.stack([radius, heights], 1)))
+    body = solids.lathe(np.stack([radius, heights], 1))
     labelled = rng.uniform() < 0.75
     made = paint(body, solids.vivid(rng) if labelled else color)
     edge = float(rng.uniform(0.1, 0.2))
     for low in (0.0, h - 0.42):
         ring = [(r + edge, low), (r + edge, low + 0.42)]
-        made = made + paint(
-            solids.turned(solids.rounded(solids.outline_of_turn(ring), 0.12)), color
-        )
+        made += paint(solids.lathe(ring, edge=0.12), color)
     depth = float(rng.uniform(0.2, 0.4))
     for low in (-0.1, h - depth):
         dish = solids.outline_of_turn([(0.92 * r, low), (0.94 * r, low + depth + 0.1)])
-        made = made - paint(solids.turned(dish), color)
+        made -= paint(solids.turned(dish), color)
     for level in (depth - 0.1, h - depth):
         # Rings pressed into the ends.
         ring = solids.outline_of_turn([(0.62 * r, level - 0.12), (0.58 * r, level + 0.12)])
-        made = made + paint(solids.turned(ring), color)
+        made += paint(solids.turned(ring), color)
     return made
 
 
 def _spray(rng: np.random.Generator, paint: solids.Paint, r: float) -> Manifold:
     h = float(rng.uniform(12.5, 15.5))
     color = solids.metal(rng)
-    body = solids.turned(
-        solids.outline_of_turn([(0.93 * r, 0.0), (r, 0.15), (r, h - 1.5), (0.96 * r, h - 1.35)])
+    body = solids.lathe([(0.93 * r, 0.0), (r, 0.15), (r, h - 1.5), (0.96 * r, h - 1.35)])
+    rim = solids.lathe([(1.04 * r, h - 1.75), (1.04 * r, h - 1.4)], edge=0.1)
+    dome = solids.lathe(
+        [(0.96 * r, h - 1.5), (0.9 * r, h - 1.0), (0.7 * r, h - 0.4), (0.45 * r, h)]
     )
-    rim = solids.turned(
-        solids.rounded(solids.outline_of_turn([(1.04 * r, h - 1.75), (1.04 * r, h - 1.4)]), 0.1)
-    )
-    dome = solids.turned(
-        solids.outline_of_turn(
-            [(0.96 * r, h - 1.5), (0.9 * r, h - 1.0), (0.7 * r, h - 0.4), (0.45 * r, h)]
-        )
-    )
-    cap = solids.turned(
-        solids.rounded(
-            solids.outline_of_turn([(0.42 * r, h - 0.3), (0.36 * r, h + rng.uniform(1.4, 2.4))]),
-            0.2,
-        )
-    )
+    cap = solids.lathe([(0.42 * r, h - 0.3), (0.36 * r, h + rng.uniform(1.4, 2.4))], edge=0.2)
     made = paint(body, solids.vivid(rng)) + paint(rim, color) + paint(dome, color)
     return made + paint(cap, solids.one_of(rng, solids.WHITE, solids.vivid(rng)))

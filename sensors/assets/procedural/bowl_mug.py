@@ -59,7 +59,7 @@ def mug(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
         if len(ring) >= 2:
             inner = solids.outline_of_turn(ring - np.array([0.2 * wall, 0]))
             strip = solids.outline_of_turn(ring + np.array([0.03, 0])) - inner
-            made = made + paint(
+            made += paint(
                 solids.turned(strip), solids.one_of(rng, solids.vivid(rng), solids.WHITE), "print"
             )
     if plan in ("cup", "barrel") and rng.uniform() < 0.8:
@@ -67,7 +67,7 @@ def mug(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
         ring_section = solids.rectangle((-foot, -0.35), (foot, 0.2)) - solids.rectangle(
             (-foot + 0.5, -1), (foot - 0.5, -0.02)
         )
-        made = made + paint(solids.turned(solids.rounded(ring_section, 0.1)), glaze)
+        made += paint(solids.turned(solids.rounded(ring_section, 0.1)), glaze)
     return made
 
 
@@ -151,19 +151,16 @@ def bowl(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     profile = solids.smooth_profile(np.stack([radius, h * u], 1), samples=30)
     wall = float(rng.uniform(0.28, 0.5))
     section = solids.vessel(profile, wall, base=1.25 * wall)
-    outside = paint(solids.turned(section), solids.muted(rng))
-    parts = [outside]
+    made = paint(solids.turned(section), solids.muted(rng))
     if rng.uniform() < 0.7 and plan != "straight":
         foot = float(rng.uniform(0.4, 0.9))
         for_ring = bottom * float(rng.uniform(0.92, 1.0))
         ring = solids.rectangle((-for_ring, -foot), (for_ring, 0.3 * wall)) - solids.rectangle(
             (-for_ring + 1.3 * wall, -foot - 1), (for_ring - 1.3 * wall, -0.02)
         )
-        parts.append(
-            paint(
-                solids.turned(solids.rounded(ring, 0.2 * wall)),
-                solids.one_of(rng, solids.WHITE, solids.muted(rng)),
-            )
+        made += paint(
+            solids.turned(solids.rounded(ring, 0.2 * wall)),
+            solids.one_of(rng, solids.WHITE, solids.muted(rng)),
         )
     if plan == "rolled" or rng.uniform() < 0.3:
         edge = float(rng.uniform(0.6, 1.0)) * wall
@@ -173,8 +170,5 @@ def bowl(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
             0.45 * edge,
         )
         lip = roll + roll.mirror([1, 0])
-        parts.append(paint(solids.turned(lip), solids.one_of(rng, solids.vivid(rng), solids.WHITE)))
-    made = parts[0]
-    for part in parts[1:]:
-        made = made + part
+        made += paint(solids.turned(lip), solids.one_of(rng, solids.vivid(rng), solids.WHITE))
     return made

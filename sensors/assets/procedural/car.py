@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,51 +39,41 @@ class _Shape:
     pillars: tuple[float, ...]
 
 
-def _shape(plan: str, rng: np.random.Generator) -> _Shape:
-    def draw(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
-    if plan == "sedan":
-        return _Shape(
-            draw(4.3, 4.8), draw(1.7, 1.85), draw(1.12, 1.2), draw(0.64, 0.7), draw(0.68, 0.75),
-            draw(0.26, 0.3), draw(0.4, 0.44), draw(0.66, 0.7), draw(0.81, 0.86), draw(0.3, 0.34),
-            (0.55,),
-        )  # fmt: skip
-    if plan == "hatchback":
-        return _Shape(
-            draw(3.6, 4.1), draw(1.65, 1.78), draw(1.15, 1.28), draw(0.66, 0.74), draw(0.74, 0.8),
-            draw(0.22, 0.27), draw(0.37, 0.42), draw(0.82, 0.88), draw(0.95, 0.985),
-            draw(0.29, 0.33), (0.6,),
-        )  # fmt: skip
-    if plan == "suv":
-        return _Shape(
-            draw(4.2, 4.7), draw(1.85, 1.98), draw(1.35, 1.5), draw(0.86, 0.95), draw(0.9, 0.98),
-            draw(0.24, 0.28), draw(0.34, 0.38), draw(0.9, 0.94), draw(0.965, 0.985),
-            draw(0.38, 0.43), (0.52, 0.74),
-        )  # fmt: skip
-    if plan == "pickup":
-        return _Shape(
-            draw(5.0, 5.4), draw(1.85, 1.98), draw(1.35, 1.45), draw(0.86, 0.94), draw(0.84, 0.9),
-            draw(0.25, 0.28), draw(0.34, 0.37), draw(0.52, 0.56), draw(0.56, 0.6),
-            draw(0.38, 0.44), (0.44,),
-        )  # fmt: skip
-    if plan == "van":
-        return _Shape(
-            draw(4.5, 5.1), draw(1.8, 1.95), draw(1.65, 1.9), draw(0.8, 0.95), draw(1.0, 1.1),
-            draw(0.1, 0.14), draw(0.25, 0.3), draw(0.94, 0.965), draw(0.985, 0.995),
-            draw(0.31, 0.35), (0.38, 0.6, 0.8),
-        )  # fmt: skip
-    return _Shape(
-        draw(4.1, 4.5), draw(1.8, 1.95), draw(1.0, 1.08), draw(0.63, 0.68), draw(0.68, 0.73),
-        draw(0.34, 0.4), draw(0.5, 0.54), draw(0.62, 0.66), draw(0.9, 0.96), draw(0.3, 0.33),
-        (),
-    )  # fmt: skip
+# Bounds of the fields of `_Shape` in their order, and its pillars.
+_BOUNDS: dict[str, tuple[tuple[tuple[float, float], ...], tuple[float, ...]]] = {
+    "sedan": ((
+        (4.3, 4.8), (1.7, 1.85), (1.12, 1.2), (0.64, 0.7), (0.68, 0.75), (0.26, 0.3),
+        (0.4, 0.44), (0.66, 0.7), (0.81, 0.86), (0.3, 0.34),
+    ), (0.55,)),
+    "hatchback": ((
+        (3.6, 4.1), (1.65, 1.78), (1.15, 1.28), (0.66, 0.74), (0.74, 0.8), (0.22, 0.27),
+        (0.37, 0.42), (0.82, 0.88), (0.95, 0.985), (0.29, 0.33),
+    ), (0.6,)),
+    "suv": ((
+        (4.2, 4.7), (1.85, 1.98), (1.35, 1.5), (0.86, 0.95), (0.9, 0.98), (0.24, 0.28),
+        (0.34, 0.38), (0.9, 0.94), (0.965, 0.985), (0.38, 0.43),
+    ), (0.52, 0.74)),
+    "pickup": ((
+        (5.0, 5.4), (1.85, 1.98), (1.35, 1.45), (0.86, 0.94), (0.84, 0.9), (0.25, 0.28),
+        (0.34, 0.37), (0.52, 0.56), (0.56, 0.6), (0.38, 0.44),
+    ), (0.44,)),
+    "van": ((
+        (4.5, 5.1), (1.8, 1.95), (1.65, 1.9), (0.8, 0.95), (1.0, 1.1), (0.1, 0.14),
+        (0.25, 0.3), (0.94, 0.965), (0.985, 0.995), (0.31, 0.35),
+    ), (0.38, 0.6, 0.8)),
+    "coupe": ((
+        (4.1, 4.5), (1.8, 1.95), (1.0, 1.08), (0.63, 0.68), (0.68, 0.73), (0.34, 0.4),
+        (0.5, 0.54), (0.62, 0.66), (0.9, 0.96), (0.3, 0.33),
+    ), ()),
+}  # fmt: skip
 
 
 def car(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A car in metres, wheels on the ground at y = 0."""
     plan = PLANS[int(rng.integers(len(PLANS)))]
-    s = _shape(plan, rng)
+    bounds, pillars = _BOUNDS[plan]
+    fields: tuple[Any, ...] = (*(float(rng.uniform(*pair)) for pair in bounds), pillars)
+    s = _Shape(*fields)
     lift = 0.55 * s.wheel + float(rng.uniform(0.0, 0.05))
     color = solids.one_of(
         rng,
@@ -102,7 +92,7 @@ def car(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
         bed = solids.box(
             (-0.42 * s.width, 0.45 * s.tail_h, rear), (0.42 * s.width, 2.0, 0.965 * s.length)
         )
-        shell = shell - paint(bed, solids.DARK)
+        shell -= paint(bed, solids.DARK)
     # The glass is a slightly smaller copy of the body, visible through the window openings.
     middle = np.array([0.0, 0.5 * s.hood_h, 0.5 * s.length])
     inner = hull.translate((-middle).tolist()).scale([0.965, 0.975, 0.985])
@@ -110,20 +100,20 @@ def car(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     if plan == "pickup":
         glass = glass ^ solids.box((-2, 0.4 * s.tail_h, 0), (2, 3, s.tail_u * s.length))
     made = shell + paint(glass, solids.GLASS)
-    made = made + _lower_trim(s, paint)
+    made += _lower_trim(s, paint)
     made = _with_wheels(rng, made, s, paint)
-    made = made + _lights(s, plan, paint, hull)
+    made += _lights(s, plan, paint, hull)
     if plan in ("suv", "van") and rng.uniform() < 0.6:
         for x in (-0.33 * s.width, 0.33 * s.width):
             z0, z1 = (s.roof_u + 0.06) * s.length, (s.roof_end_u - 0.06) * s.length
-            made = made + paint(
+            made += paint(
                 solids.rounded_box((0.05, 0.08, z1 - z0), 0.02, 12).translate(
                     [x, s.roof_h + 0.0, (z0 + z1) / 2]
                 ),
                 solids.DARK,
             )
     if plan == "coupe" and rng.uniform() < 0.6:
-        made = made + _spoiler(s, paint, color)
+        made += _spoiler(s, paint, color)
     return made.translate([0, lift, 0])
 
 
@@ -174,7 +164,7 @@ def _window_cut(s: _Shape, side: CrossSection, belt: float) -> Manifold:
     room = side ^ solids.rectangle((-1.0, belt), (s.length + 1, 3.0))
     frame = room.offset(-0.09) ^ solids.rectangle((-1.0, belt + 0.03), (s.length + 1, 3.0))
     for u in s.pillars:
-        frame = frame - solids.rectangle((u * s.length - 0.05, 0), (u * s.length + 0.05, 3.0))
+        frame -= solids.rectangle((u * s.length - 0.05, 0), (u * s.length + 0.05, 3.0))
     cut = solids.along_x(solids.rounded(frame, 0.03, 12), 4.0)
     low, high = belt + 0.05, s.roof_h - 0.13
     half = 0.5 * 0.74 * s.width
@@ -193,7 +183,7 @@ def _lower_trim(s: _Shape, paint: solids.Paint) -> Manifold:
     made = paint(front.translate([0, 0.42 * s.hood_h, 0.035]), solids.DARK)
     for z in (0.05, s.length - 0.05):
         bar = solids.rounded_box((0.84 * s.width, 0.16, 0.14), 0.05, 16).translate([0, 0.12, z])
-        made = made + paint(bar, solids.DARK)
+        made += paint(bar, solids.DARK)
     return made
 
 
@@ -212,34 +202,28 @@ def _with_wheels(
             arch = solids.rod(
                 (at - side * 0.32, height, z), (at + side * 0.2, height, z), 1.17 * radius, None, 48
             )
-            made = made - paint(arch, solids.DARK)
+            made -= paint(arch, solids.DARK)
             turn = -90 if side > 0 else 90
             x = at - side * (broad / 2 + 0.04)
-            made = made + wheel.rotate([0, 0, turn]).translate([x, height, z])
+            made += wheel.rotate([0, 0, turn]).translate([x, height, z])
             axle = solids.rod((0, height, z), (x, height, z), 0.09, None, 16)
-            made = made + paint(axle, solids.DARK)
+            made += paint(axle, solids.DARK)
     return made
 
 
 def _wheel(rng: np.random.Generator, paint: solids.Paint, radius: float, broad: float) -> Manifold:
     half = broad / 2
-    tyre = solids.turned(
-        solids.rounded(solids.outline_of_turn([(radius, -half), (radius, half)]), 0.05, 16), 48
-    )
+    tyre = solids.lathe([(radius, -half), (radius, half)], 48, edge=0.05, corner=16)
     rim = 0.66 * radius
     made = paint(tyre, solids.DARK) - paint(
-        solids.turned(solids.outline_of_turn([(rim, half - 0.06), (rim, half + 0.1)]), 48),
-        solids.SILVER,
+        solids.lathe([(rim, half - 0.06), (rim, half + 0.1)], 48), solids.SILVER
     )
-    made = made + paint(
-        solids.turned(solids.outline_of_turn([(0.2 * radius, 0), (0.14 * radius, half)]), 24),
-        solids.SILVER,
-    )
+    made += paint(solids.lathe([(0.2 * radius, 0), (0.14 * radius, half)], 24), solids.SILVER)
     spokes = int(rng.integers(5, 9))
     for k in range(spokes):
         angle = 2 * np.pi * k / spokes
         end = (0.97 * rim * np.cos(angle), half - 0.045, 0.97 * rim * np.sin(angle))
-        made = made + paint(solids.rod((0, half - 0.035, 0), end, 0.035, None, 8), solids.SILVER)
+        made += paint(solids.rod((0, half - 0.035, 0), end, 0.035, None, 8), solids.SILVER)
     return made
 
 
@@ -256,12 +240,12 @@ def _lights(s: _Shape, plan: str, paint: solids.Paint, hull: Manifold) -> Manifo
             made = part if made is None else made + part
         mirror = solids.ellipsoid((0.2, 0.14, 0.1), 16)
         at = s.hood_u * s.length + 0.28
-        made = made + paint(
+        made += paint(
             mirror.translate([np.sign(x) * (0.46 * s.width + 0.09), s.hood_h + 0.1, at]),
             solids.DARK,
         )
         blink = solids.ellipsoid((0.16, 0.08, 0.9), 16).translate([x, 0.52 * s.hood_h, 0.1])
-        made = made + paint(blink ^ skin, solids.AMBER)
+        made += paint(blink ^ skin, solids.AMBER)
     return made
 
 
@@ -272,7 +256,7 @@ def _spoiler(s: _Shape, paint: solids.Paint, color: solids.Rgb) -> Manifold:
     )
     made = paint(wing, color)
     for x in (-0.28 * s.width, 0.28 * s.width):
-        made = made + paint(
+        made += paint(
             solids.box((x - 0.03, 0.8 * s.tail_h, z - 0.06), (x + 0.03, s.tail_h + 0.17, z + 0.06)),
             color,
         )

@@ -22,7 +22,7 @@ def distractor(rng: np.random.Generator, paint: solids.Paint) -> tuple[Manifold,
 
 def _ball(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     a = np.linspace(-np.pi / 2, np.pi / 2, 49)[1:-1]
-    ball = solids.turned(solids.outline_of_turn(np.stack([4 * np.cos(a), 4 * np.sin(a)], 1)))
+    ball = solids.lathe(np.stack([4 * np.cos(a), 4 * np.sin(a)], 1))
     band = solids.outline_of_turn([(4.03, -0.6), (4.03, 0.6)]) - solids.outline_of_turn(
         [(3.6, -1), (3.6, 1)]
     )
@@ -33,11 +33,9 @@ def _apple(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     a = np.linspace(-0.92 * np.pi / 2, 0.86 * np.pi / 2, 44)
     lean = float(rng.uniform(0.04, 0.12))
     r = 3.6 * np.cos(a) * (1 + lean * np.sin(a)) + 0.35 * np.abs(np.sin(a))
-    fruit = solids.turned(
-        solids.outline_of_turn(np.stack([np.maximum(r, 0.15), 3.3 * np.sin(a)], 1))
-    )
-    dimple = solids.turned(solids.outline_of_turn([(0.1, 2.2), (1.1, 3.5)]))
-    stem = solids.turned(solids.outline_of_turn([(0.14, 1.6), (0.14, 3.9)]))
+    fruit = solids.lathe(np.stack([np.maximum(r, 0.15), 3.3 * np.sin(a)], 1))
+    dimple = solids.lathe([(0.1, 2.2), (1.1, 3.5)])
+    stem = solids.lathe([(0.14, 1.6), (0.14, 3.9)])
     made = paint(fruit, solids.hsv(rng.uniform(-0.02, 0.3), 0.75, 0.75))
     return made - paint(dimple, solids.hsv(0.2, 0.6, 0.4)) + paint(stem, solids.hsv(0.07, 0.6, 0.3))
 
@@ -51,31 +49,18 @@ def _hoop(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
 
 def _candle(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     h = float(rng.uniform(5, 10))
-    made = paint(
-        solids.turned(solids.rounded(solids.outline_of_turn([(2.6, 0), (2.6, h)]), 0.3)),
-        solids.muted(rng),
-    )
-    made = made - paint(
-        solids.turned(solids.outline_of_turn([(0.3, h - 0.5), (2.0, h + 0.1)])), solids.WHITE
-    )
-    return made + paint(
-        solids.turned(solids.outline_of_turn([(0.13, h - 1), (0.1, h + 0.9)]), 16), solids.DARK
-    )
+    made = paint(solids.lathe([(2.6, 0), (2.6, h)], edge=0.3), solids.muted(rng))
+    made -= paint(solids.lathe([(0.3, h - 0.5), (2.0, h + 0.1)]), solids.WHITE)
+    return made + paint(solids.lathe([(0.13, h - 1), (0.1, h + 0.9)], 16), solids.DARK)
 
 
 def _spool(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     h = float(rng.uniform(4, 7))
-    made = paint(
-        solids.turned(solids.outline_of_turn([(2.2, -0.3), (2.2, h + 0.3)])), solids.vivid(rng)
-    )
+    made = paint(solids.lathe([(2.2, -0.3), (2.2, h + 0.3)]), solids.vivid(rng))
     for low in (-0.6, h):
-        disc = solids.turned(
-            solids.rounded(solids.outline_of_turn([(3.4, low), (3.4, low + 0.6)]), 0.15)
-        )
-        made = made + paint(disc, solids.hsv(0.09, 0.4, 0.75))
-    return made - paint(
-        solids.turned(solids.outline_of_turn([(0.7, -1), (0.7, h + 1)]), 32), solids.DARK
-    )
+        disc = solids.lathe([(3.4, low), (3.4, low + 0.6)], edge=0.15)
+        made += paint(disc, solids.hsv(0.09, 0.4, 0.75))
+    return made - paint(solids.lathe([(0.7, -1), (0.7, h + 1)], 32), solids.DARK)
 
 
 def _vase(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
@@ -105,11 +90,11 @@ def _book(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
 def _brick(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     nx, nz = int(rng.integers(2, 5)), int(rng.integers(1, 3))
     made = solids.box((0, 0, 0), (nx * 2, 2.4, nz * 2))
-    made = made - solids.box((0.3, -1, 0.3), (nx * 2 - 0.3, 2.1, nz * 2 - 0.3))
+    made -= solids.box((0.3, -1, 0.3), (nx * 2 - 0.3, 2.1, nz * 2 - 0.3))
     for i in range(nx):
         for k in range(nz):
             x, z = 2 * i + 1, 2 * k + 1
-            made = made + solids.rod((x, 2.3, z), (x, 2.85, z), 0.62, None, 32)
+            made += solids.rod((x, 2.3, z), (x, 2.85, z), 0.62, None, 32)
     return paint(made, solids.vivid(rng))
 
 
@@ -123,7 +108,7 @@ def _remote(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
         for k in range(int(length / 2) - 1):
             x, z = 1.2 * (i - 1), -length / 2 + 2 + 1.5 * k
             color = solids.one_of(rng, solids.WHITE, solids.GREY, solids.vivid(rng))
-            made = made + paint(solids.rod((x, 0.5, z), (x, 1.12, z), 0.4, None, 16), color)
+            made += paint(solids.rod((x, 0.5, z), (x, 1.12, z), 0.4, None, 16), color)
     return made
 
 
@@ -158,10 +143,10 @@ def _gear(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     wheel = CrossSection.circle(4.0, 96)
     tooth = solids.polygon([(-0.55, 3.8), (0.55, 3.8), (0.3, 4.9), (-0.3, 4.9)])
     for k in range(teeth):
-        wheel = wheel + tooth.rotate(360 * k / teeth)
-    wheel = wheel - CrossSection.circle(1.0, 40)
+        wheel += tooth.rotate(360 * k / teeth)
+    wheel -= CrossSection.circle(1.0, 40)
     for k in range(5):
-        wheel = wheel - CrossSection.circle(0.75, 32).translate((0.0, 2.4)).rotate(72 * k)
+        wheel -= CrossSection.circle(0.75, 32).translate((0.0, 2.4)).rotate(72 * k)
     return paint(solids.along_y(wheel, -0.7, 0.7), solids.metal(rng))
 
 
@@ -183,7 +168,7 @@ def _die(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
             at = np.zeros(3)
             at[[(axis + 1) % 3, (axis + 2) % 3]] = 1.5 * a, 1.5 * b
             at[axis] = 3.15 * sign
-            made = made - paint(pit.translate(at.tolist()), solids.DARK)
+            made -= paint(pit.translate(at.tolist()), solids.DARK)
     return made
 
 
@@ -191,7 +176,7 @@ def _tape(rng: np.random.Generator, paint: solids.Paint) -> Manifold:
     """A roll of tape in its dispenser."""
     side = solids.polygon([(-5, 0), (4.5, 0), (5.2, 2.6), (2.5, 2.6), (0.5, 4.5), (-4.2, 4.2)])
     made = paint(solids.along_x(solids.rounded(side, 0.4), 3.2), solids.vivid(rng))
-    made = made - paint(solids.rod((-0.9, 4.0, -1.6), (0.9, 4.0, -1.6), 3.0, None, 48), solids.DARK)
+    made -= paint(solids.rod((-0.9, 4.0, -1.6), (0.9, 4.0, -1.6), 3.0, None, 48), solids.DARK)
     roll = solids.rod((-0.8, 3.8, -1.6), (0.8, 3.8, -1.6), float(rng.uniform(2.2, 2.8)), None, 48)
     axle = solids.rod((-1.7, 3.4, -1.6), (1.7, 3.4, -1.6), 0.7, None, 24)
     return made + paint(roll, solids.hsv(0.12, 0.3, 0.85)) + paint(axle, solids.SILVER)

@@ -193,6 +193,14 @@ def turned(section: CrossSection, sections: int = LATHE_SECTIONS) -> Manifold:
     return section.revolve(sections).rotate([-90, 0, 0])
 
 
+def lathe(
+    profile: ArrayLike, sections: int = LATHE_SECTIONS, *, edge: float = 0.0, corner: int = 20
+) -> Manifold:
+    """The body of revolution about y of an outer profile (N, 2), its edges rounded by `edge`."""
+    section = outline_of_turn(profile)
+    return turned(rounded(section, edge, corner) if edge else section, sections)
+
+
 def smooth_profile(keys: ArrayLike, samples: int = 40) -> Array:
     """(N, 2) radius and height through key points of increasing height, without overshoot."""
     from scipy.interpolate import PchipInterpolator

@@ -86,7 +86,7 @@ class PoseRank:
         silent, total = len(self.frames) - len(self.telling), len(self.frames)
         text = f"better than {self.beaten} of {self.nearby} nearby poses"
         if silent:
-            text += f"; {silent} of {total} frames tell{'s' if silent == 1 else ''} nothing"
+            text += f"; {silent} of {total} frames {'is' if silent == 1 else 'are'} inconclusive"
         elif total < FEWEST_FRAMES:
             text += "; one frame alone confirms no pose"
         if self.rival >= -TIE:

@@ -21,19 +21,25 @@ from std_toolkit.geometry.mesh import UNITS_IN_M
 from std_toolkit.geometry.se3 import SE3, rotation_angle, skew, so3_exp
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.foreign_files import csv_rows
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
 # Clicks are rarely more accurate than this; smaller residuals do not measure the noise.
 CLICK_NOISE_PX = 0.5
 
-# Above this the correspondences do not determine a direction of the pose.
-LARGEST_ANGLE_STD = np.deg2rad(20)
-
-# Two poses that differ by more than this are different solutions, not noise.
-DISTINCT_ANGLE = np.deg2rad(5)
 
 COLUMNS = ("u", "v", "x", "y", "z")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PnpSettings(Settings):
+    """When correspondences determine a pose."""
+
+    largest_angle_std: float = limit(np.deg2rad(20), unit="rad", source=NOT_RECORDED)
+    """with a larger deviation, a direction of the pose is not determined"""
+    distinct_angle: float = limit(np.deg2rad(5), unit="rad", source=NOT_RECORDED)
+    """two poses that differ by more are different solutions, not noise"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +90,7 @@ def solve_pnp(
             (or half of the) points that agree on a pose, or two different poses that explain the
             points equally well.
     """
+    limits = PnpSettings.current()
     X, uv = _checked(points_obj, pixels)
     order = _ranked_hypotheses(X, uv, camera, threshold_px, max_samples, seed)
     if not order:
@@ -109,7 +116,10 @@ def solve_pnp(
     freedom = max(2 * int(inliers.sum()) - 6, 1)
     variance = max(float((residuals[inliers] ** 2).sum() / freedom), CLICK_NOISE_PX**2)
     for rival_cost, rival, _ in refined[1:]:
-        if rotation_angle(pose.R.T @ rival.R) > DISTINCT_ANGLE and rival_cost - cost < 9 * variance:
+        if (
+            rotation_angle(pose.R.T @ rival.R) > limits.distinct_angle
+            and rival_cost - cost < 9 * variance
+        ):
             raise ToolkitError(
                 "two different poses explain the correspondences equally well",
                 value=f"{np.rad2deg(rotation_angle(pose.R.T @ rival.R)):.0f} degrees apart",
@@ -148,6 +158,7 @@ def _ranked_hypotheses(
     X: Array, uv: Array, camera: Camera, threshold_px: float, max_samples: int, seed: int
 ) -> list[SE3]:
     """The best pose of every cluster of P3P solutions, best first, at most six."""
+    limits = PnpSettings.current()
     rays = camera.unproject(uv)[:, :2]
     scored: list[tuple[float, SE3]] = []
     for sample in _triples(len(X), max_samples, seed):
@@ -162,7 +173,7 @@ def _ranked_hypotheses(
     scored.sort(key=lambda row: row[0])
     kept: list[SE3] = []
     for _, pose in scored:
-        if all(rotation_angle(pose.R.T @ other.R) > DISTINCT_ANGLE for other in kept):
+        if all(rotation_angle(pose.R.T @ other.R) > limits.distinct_angle for other in kept):
             kept.append(pose)
         if len(kept) == 6:
             break
@@ -244,7 +255,7 @@ def _jacobian(pose: SE3, X: Array, camera: Camera) -> Array:
 
 def _inverse_or_refuse(information: Array) -> Array:
     values, vectors = np.linalg.eigh(information[3:, 3:] - _schur(information))
-    if values[0] <= 0 or 1 / np.sqrt(values[0]) > LARGEST_ANGLE_STD:
+    if values[0] <= 0 or 1 / np.sqrt(values[0]) > PnpSettings.current().largest_angle_std:
         axis = np.round(vectors[:, 0], 2).tolist()
         raise ToolkitError(
             "the correspondences do not determine the rotation",

@@ -90,8 +90,8 @@ class WorldCaster:
         """
         uv = np.asarray(pixels)
         rays = np.ones((uv.size // 2, 3), np.float32)
-        rays[:, 0] = ((uv[..., 0] - camera.cx) / camera.fx).ravel()
-        rays[:, 1] = ((uv[..., 1] - camera.cy) / camera.fy).ravel()
+        x, y = camera.pinhole_rays(uv[..., 0], uv[..., 1])
+        rays[:, 0], rays[:, 1] = x.ravel(), y.ravel()
         nearest = np.full(len(rays), np.inf, np.float32)
         index = np.full(len(rays), NONE, np.int32)
         normal = np.zeros((len(rays), 3), np.float32)
@@ -290,8 +290,8 @@ def _cast(
     box: tuple[int, int, int, int],
 ) -> Layer:
     x0, y0, x1, y1 = box
-    x = ((np.arange(x0, x1 + 1) - camera.cx) / camera.fx).astype(np.float32)
-    y = ((np.arange(y0, y1 + 1) - camera.cy) / camera.fy).astype(np.float32)
+    across, down = camera.pinhole_rays(np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
+    x, y = across.astype(np.float32), down.astype(np.float32)
     rays = np.empty((1, len(y), len(x), 6), np.float32)
     eye = (T_cam_obj.inverse().t - surface.centre).astype(np.float32)
     R = np.ascontiguousarray(T_cam_obj.R, np.float32)

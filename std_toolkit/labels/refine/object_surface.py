@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -26,11 +27,18 @@ Array = NDArray[np.float64]
 # Fraction of the radius by which a sphere exceeds the hull of its points in `_directions`.
 _SLACK = 0.02
 
-# A surface whose colours vary by less than the first figure (standard deviation, grey levels)
-# shows only noise and shading, one that varies by more than the second has a texture.
-_PLAIN, _TEXTURED = 10.0, 25.0
 
 _SMOOTHING_PX = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceColorSettings(Settings):
+    """When the colours of a surface are informative."""
+
+    plain: float = limit(10.0, unit="grey levels", source="only noise and shading")
+    """below this standard deviation a surface is plain"""
+    textured: float = limit(25.0, unit="grey levels", source=NOT_RECORDED)
+    """above this standard deviation it has a texture"""
 
 
 @cache
@@ -196,6 +204,7 @@ def color_agreement(
     Returns:
         The correlation, reduced towards 0 if the surface shows too little texture.
     """
+    limits = SurfaceColorSettings.current()
     shared = rendered_power = seen_power = 0.0
     count = 0
     for drawn, taken, mask in zip(rendered, observed, masks, strict=True):
@@ -210,7 +219,7 @@ def color_agreement(
     if count == 0 or rendered_power <= 0 or seen_power <= 0:
         return 0.0
     contrast = float(np.sqrt(rendered_power / count))
-    clear = float(np.clip((contrast - _PLAIN) / (_TEXTURED - _PLAIN), 0, 1))
+    clear = float(np.clip((contrast - limits.plain) / (limits.textured - limits.plain), 0, 1))
     return clear * shared / float(np.sqrt(rendered_power * seen_power))
 
 

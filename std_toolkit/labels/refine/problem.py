@@ -17,12 +17,21 @@ from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
 from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Called with the completed fraction, 0 to 1, never decreasing. To cancel the computation, raise an
 # exception.
 Progress = Callable[[float], None]
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectionSettings(Settings):
+    """How a weak direction is named."""
+
+    same_deg: float = limit(25.0, unit="deg", source=NOT_RECORDED)
+    """a direction within this angle of another is named by it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,7 +364,6 @@ def weakest_direction(
 
 
 # A direction within this angle of another is named by it.
-_SAME_DEG = 25.0
 _PLAIN_WORDS = {"shift": "along ", "turn": "about "}
 _WEAK = re.compile(r"(?P<what>shift|turn) (?P<words>[^(]*)object axis \((?P<axis>[^)]*)\)")
 
@@ -367,15 +375,16 @@ def weak_direction_upright(sentence: str, up: NDArray[np.floating]) -> str:
         sentence: as returned, or "".
         up: (3,) the upright direction in the object frame, unit length.
     """
+    limits = DirectionSettings.current()
     found = _WEAK.search(sentence)
     if found is None:
         return sentence
     axis = np.array([float(x) for x in found["axis"].split(",")])
     along = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-9)
     words = found["words"]
-    if along > np.cos(np.deg2rad(_SAME_DEG)):
+    if along > np.cos(np.deg2rad(limits.same_deg)):
         words = "up or down, " if found["what"] == "shift" else "about its upright axis, "
-    elif along < np.sin(np.deg2rad(_SAME_DEG)) and words in _PLAIN_WORDS.values():
+    elif along < np.sin(np.deg2rad(limits.same_deg)) and words in _PLAIN_WORDS.values():
         words = "sideways, " if found["what"] == "shift" else "of its upright axis (tilt), "
     return sentence[: found.start("words")] + words + sentence[found.end("words") :]
 
@@ -388,13 +397,14 @@ def _view_words(
     views: Sequence[RefineView],
 ) -> str:
     """Return "along the view of frame 3, ", or "along " if the direction is along no view."""
+    limits = DirectionSettings.current()
     if T_world_obj is None or not views:
         return _PLAIN_WORDS[what]
     rays = T_world_obj @ centre - np.stack([view.T_world_cam.t for view in views])
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
     cosine = np.abs(rays @ (T_world_obj.R @ direction))
     best = int(np.argmax(cosine))
-    if cosine[best] < np.cos(np.deg2rad(_SAME_DEG)) or views[best].frame < 0:
+    if cosine[best] < np.cos(np.deg2rad(limits.same_deg)) or views[best].frame < 0:
         return _PLAIN_WORDS[what]
     frame = views[best].frame
     place = "along the view" if what == "shift" else "in the image"

@@ -22,6 +22,7 @@ from std_toolkit.labels.support.solid import PlacedObject
 from std_toolkit.rendering import maps, placements, point_cloud, raycast
 from std_toolkit.rendering.renderer import PlacedMesh, image_window, normalised_rays
 from std_toolkit.scene.scene import Frame, Scene
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -39,22 +40,31 @@ _SPARSE_NOISE_M, _SPARSE_NOISE = 0.0005, 0.002
 # The camera points at the table: standard deviation of the weight, in half images.
 _CENTRE = 0.7
 
-# Sensors have a bias of up to 2 %; a larger estimate has another cause.
-_LARGEST_BIAS = 0.04
-
-_FEWEST_POINTS = 80
-
-_FEWEST_FRAMES = 6
-
-# Largest standard errors: of the table, relative to the camera height, and of the bias. Camera
-# poses have errors too, and the bias of sensors varies with distance: the estimate from heights
-# is used only if they agree to a fraction of a millimetre.
-_LARGEST_ERROR_BY_POINTS = 0.002
-
-_LARGEST_ERROR_BY_HEIGHTS = 0.0007
 
 # Number of points per independent one: errors of neighbouring points are correlated.
 _CORRELATED = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthBiasSettings(Settings):
+    """When the bias of the sensor is corrected by the table."""
+
+    largest_bias: float = limit(
+        0.04,
+        source="sensors have a bias of up to 2 %; a larger estimate has another cause",
+    )
+    """a larger estimate is not used"""
+    fewest_points: int = limit(80, source=NOT_RECORDED)
+    """points of the table that an estimate needs"""
+    fewest_frames: int = limit(6, source=NOT_RECORDED)
+    """frames that an estimate from heights needs"""
+    largest_error_by_points: float = limit(0.002, source=NOT_RECORDED)
+    """largest standard error of the table, relative to the height of the camera"""
+    largest_error_by_heights: float = limit(
+        0.0007,
+        source="camera poses have errors too, and the bias varies with distance",
+    )
+    """largest standard error of the bias"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +228,11 @@ def correction_by_points(
     Returns:
         None if too few of the points are close together near the plane.
     """
+    limits = DepthBiasSettings.current()
     reach = np.linalg.norm(plane.project(points) - centre, axis=1)
     distance = plane.signed_distance(points[reach < 1.3 * radius_m])
-    distance = np.sort(distance[np.abs(distance) < _LARGEST_BIAS * height_m])
-    if len(distance) < _FEWEST_POINTS:
+    distance = np.sort(distance[np.abs(distance) < limits.largest_bias * height_m])
+    if len(distance) < limits.fewest_points:
         return None
     # Most of the points so close to the table are on it. The mode of their distances is in the
     # shortest interval with half of the points.
@@ -232,7 +243,7 @@ def correction_by_points(
     crowd = distance[np.abs(distance - shift) < 3 * spread]
     shift = float(np.mean(crowd))
     error = float(np.std(crowd)) / np.sqrt(len(crowd) / _CORRELATED)
-    if spread > 0.015 * height_m or error > _LARGEST_ERROR_BY_POINTS * height_m:
+    if spread > 0.015 * height_m or error > limits.largest_error_by_points * height_m:
         return None
     factor = height_m / (height_m - shift)
     return Correction(
@@ -257,14 +268,15 @@ def correction_by_heights(
     Returns:
         None if the heights are too similar or the scatter is too large.
     """
+    limits = DepthBiasSettings.current()
     heights, errors = [], []
     for view in np.unique(points.view[inliers]):
         mine = inliers & (points.view == view)
-        if mine.sum() >= _FEWEST_POINTS:
+        if mine.sum() >= limits.fewest_points:
             heights.append(float(plane.signed_distance(centres[view])))
             errors.append(float(np.median(plane.signed_distance(points.xyz[mine]))))
     h, e = np.array(heights), np.array(errors)
-    if len(h) < _FEWEST_FRAMES or np.ptp(h) < 0.1 * h.mean():
+    if len(h) < limits.fewest_frames or np.ptp(h) < 0.1 * h.mean():
         return None
     # A camera at height h above the fitted plane measures it with an offset of
     # e = (1 + b) shift - b h, with the relative bias b and the shift to the table.
@@ -273,7 +285,7 @@ def correction_by_heights(
     scatter = float(np.sum((e - A @ [constant, bias]) ** 2)) / (len(h) - 2)
     covariance = scatter * np.linalg.inv(A.T @ A)
     error = float(np.sqrt(covariance[1, 1]))
-    if error > _LARGEST_ERROR_BY_HEIGHTS or not 2 * error < abs(bias) < _LARGEST_BIAS:
+    if error > limits.largest_error_by_heights or not 2 * error < abs(bias) < limits.largest_bias:
         return None
     shift = float(constant / (1 + bias))
     factor = float(1 + bias)

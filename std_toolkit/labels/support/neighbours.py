@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.solid import PlacedObject
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -22,28 +23,33 @@ _UNEVEN_M = 0.006
 
 _SLANT = np.radians(6.0)
 
-# An object stands on the plane if its likelihood, relative to an exact fit, is larger than this.
-_LIKELY = 0.2
 
-_CUT_M = 0.015
+@dataclass(frozen=True, kw_only=True)
+class StandingSettings(Settings):
+    """Which objects stand on a plane, and which planes are a table."""
 
-_TOUCHES_M = 0.0015
-
-# With a smaller spread, the contacts alone do not determine the slope of the plane.
-_WIDE_M = 0.03
-
-# An object stands on a plane if the distance of its lowest point is at most this, plus the shift
-# of the plane by the bias of a sensor.
-_MEETS_M = 0.015
-
-_SENSOR_BIAS = 0.02
-
-# Cosine between the normal and the upward direction of the image: a table is above the first
-# limit; below the second, the normal points down in the image.
-_UPRIGHT, _SIDEWAYS = 0.15, -0.15
-
-# Sine of the viewing angle to the plane; recordings do not show a table edge-on.
-_EDGE_ON = 0.15
+    likely: float = limit(0.2, source=NOT_RECORDED)
+    """smallest likelihood, relative to an exact fit, of an object that stands on the plane"""
+    cut_m: float = limit(0.015, unit="m", source=NOT_RECORDED)
+    """an object that reaches deeper below a plane is cut by it"""
+    touches_m: float = limit(0.0015, unit="m", source=NOT_RECORDED)
+    """points of an object this near to its lowest one touch the plane"""
+    wide_m: float = limit(
+        0.03,
+        unit="m",
+        source="with a smaller spread, contacts alone do not determine the slope",
+    )
+    """smallest spread of the contacts from which the slope is taken"""
+    meets_m: float = limit(0.015, unit="m", source=NOT_RECORDED)
+    """largest distance of the lowest point of an object that stands on a plane"""
+    sensor_bias: float = limit(0.02, source=NOT_RECORDED)
+    """added to `meets_m`, as a fraction of the height of the camera"""
+    upright: float = limit(0.15, source=NOT_RECORDED)
+    """cosine between the normal and the upward direction of the image: a table is above"""
+    sideways: float = limit(-0.15, source=NOT_RECORDED)
+    """below this cosine, the normal points down in the image"""
+    edge_on: float = limit(0.15, source="recordings do not show a table edge-on")
+    """smallest sine of the viewing angle to a table"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +73,7 @@ class CommonSupport:
 
 def common_support(objects: Sequence[PlacedObject], cameras: Cameras) -> CommonSupport | None:
     """Return the plane on which most objects stand; None if cameras see none from above."""
+    limits = StandingSettings.current()
     best: tuple[float, Array, list[PlacedObject]] | None = None
     for obj in objects:
         faces = obj.solid.resting
@@ -83,7 +90,7 @@ def common_support(objects: Sequence[PlacedObject], cameras: Cameras) -> CommonS
             # above, then the one on which the object is more stable.
             merit = float(likely.sum()) - 2 * cut + 0.6 * view.score + 0.3 * min(float(steady), 1.0)
             if best is None or merit > best[0]:
-                standing = [t for t, p in zip(objects, likely, strict=True) if p > _LIKELY]
+                standing = [t for t, p in zip(objects, likely, strict=True) if p > limits.likely]
                 best = merit, normal, standing
     if best is None or not best[2]:
         return None
@@ -97,11 +104,12 @@ def _standing(objects: Sequence[PlacedObject], normal: Array, offset: float) -> 
         low = float((obj.T_frame_obj @ obj.solid.hull @ normal + offset).min())
         _, tilt = obj.solid.resting.nearest(-obj.T_frame_obj.R.T @ normal)
         likely[i] = np.exp(-0.5 * ((low / _UNEVEN_M) ** 2 + (tilt / _SLANT) ** 2))
-        cut += low < -_CUT_M
+        cut += low < -StandingSettings.current().cut_m
     return likely, cut
 
 
 def _fitted(normal: Array, standing: Sequence[PlacedObject], cameras: Cameras) -> CommonSupport:
+    limits = StandingSettings.current()
     contacts, levels = [], []
     for obj in standing:
         hull = obj.T_frame_obj @ obj.solid.hull
@@ -109,7 +117,7 @@ def _fitted(normal: Array, standing: Sequence[PlacedObject], cameras: Cameras) -
         own = -(obj.T_frame_obj.R @ down)
         levels.append(own)
         along = hull @ own
-        contacts.append(hull[along <= along.min() + _TOUCHES_M])
+        contacts.append(hull[along <= along.min() + limits.touches_m])
     # Each object has the same total weight, independent of its mesh resolution.
     middles = np.array([c.mean(axis=0) for c in contacts])
     weight = np.concatenate([np.full(len(c), 1 / len(c)) for c in contacts])
@@ -119,7 +127,7 @@ def _fitted(normal: Array, standing: Sequence[PlacedObject], cameras: Cameras) -
     spread, axes = np.linalg.eigh((centred * weight[:, None]).T @ centred / len(contacts))
     level = np.mean(levels, axis=0)
     level /= np.linalg.norm(level)
-    if len(standing) > 1 and np.sqrt(max(spread[1], 0.0)) > _WIDE_M:
+    if len(standing) > 1 and np.sqrt(max(spread[1], 0.0)) > limits.wide_m:
         level = axes[:, 0] if axes[:, 0] @ level > 0 else -axes[:, 0]
     offset = -float(level @ middle)
     distance = points @ level + offset
@@ -184,6 +192,7 @@ def score_support(
         cameras: cameras of the views.
         objects: placed objects.
     """
+    limits = StandingSettings.current()
     heights = cameras.centres @ normal + offset
     if np.median(heights) < 0:
         normal, offset, heights = -normal, -offset, -heights
@@ -191,13 +200,15 @@ def score_support(
     upright = float((cameras.up @ normal).mean())
     # Every camera must be above the table.
     score = weight if (heights > 0.02).all() else 0.0
-    if upright < _UPRIGHT:
-        score *= 0.7 if upright > _SIDEWAYS else 0.3
+    if upright < limits.upright:
+        score *= 0.7 if upright > limits.sideways else 0.3
     sight = np.linalg.norm(cameras.centres - middle, axis=1)
-    if float(np.median(heights / np.maximum(sight, 1e-6))) < _EDGE_ON:
+    if float(np.median(heights / np.maximum(sight, 1e-6))) < limits.edge_on:
         score *= 0.3
     lows = {t.name: float((t.T_frame_obj @ t.solid.hull @ normal + offset).min()) for t in objects}
-    carried = tuple(n for n, low in lows.items() if abs(low) <= _MEETS_M + _SENSOR_BIAS * height)
+    carried = tuple(
+        n for n, low in lows.items() if abs(low) <= limits.meets_m + limits.sensor_bias * height
+    )
     if objects:
         score *= 0.1 + len(carried) / len(objects)
     return SupportScore(normal, offset, score, upright, height, carried)

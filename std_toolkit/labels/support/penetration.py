@@ -23,6 +23,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.plane import Plane
 from std_toolkit.labels.support.resting import sphere_directions
 from std_toolkit.labels.support.solid import PlacedObject, Samples, Solid
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -37,8 +38,6 @@ _MOST_MEASURED = 96
 # Further points, for display only, take the result of the nearest tested one.
 _MOST_PAINTED = 3000
 
-# With a smaller fraction of rays that report inside, a penetration is uncertain.
-_SURE = 0.9
 
 # Number of points by which each direction is compared.
 _ASKED = 200
@@ -50,6 +49,14 @@ _TRIED = 5
 
 # Added to a separation, so that the next test finds none.
 _CLEARANCE_M = 0.0001
+
+
+@dataclass(frozen=True, kw_only=True)
+class PenetrationSettings(Settings):
+    """Which penetrations are certain."""
+
+    sure: float = limit(0.9, source=NOT_RECORDED)
+    """with a smaller fraction of rays that report inside, a penetration is uncertain"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +104,7 @@ class Penetration:
 
     @property
     def sure(self) -> bool:
-        return self.certainty >= _SURE
+        return self.certainty >= PenetrationSettings.current().sure
 
 
 def find_penetrations(

@@ -13,19 +13,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
+
 Array = NDArray[np.float64]
 # Largest distance of a contact from the plane, relative to the object size, and its lower limit.
-_CONTACT = 0.002
 _CONTACT_FLOOR_M = 0.0001
 _SAME_FACET = np.radians(5.0)
 # Rolling over an edge may raise the centre of mass by this fraction of the object size.
-_ROLLING = 0.001
 _ROLLING_REACH = np.radians(15.0)
-# A facet is stable if the object does not topple when tipped by this angle.
-_STEADY = np.radians(2.5)
 # An object is a ball if the height of its centre stays constant when tipped by this angle.
 _BALL_TIP = np.radians(4.0)
-_BALL = 0.003
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestingSettings(Settings):
+    """Which resting poses of an object are stable."""
+
+    contact: float = limit(0.002, source=NOT_RECORDED)
+    """largest distance of a contact from the plane, relative to the size of the object"""
+    rolling: float = limit(0.001, source=NOT_RECORDED)
+    """rolling over an edge may raise the centre of mass by this fraction of the size"""
+    steady: float = limit(np.radians(2.5), unit="rad", source=NOT_RECORDED)
+    """a facet is stable if the object does not topple when tipped by this angle"""
+    ball: float = limit(0.003, source=NOT_RECORDED)
+    """an object is a ball if the height of its centre changes by less than this fraction of the
+    size when tipped"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +78,7 @@ class RestingFaces:
         around = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other
         ring = np.cos(_BALL_TIP) * down + np.sin(_BALL_TIP) * around
         heights = _heights(self._hull, np.vstack([down, ring]))
-        return bool(np.ptp(heights) < _BALL * self._size)
+        return bool(np.ptp(heights) < RestingSettings.current().ball * self._size)
 
 
 def resting_faces(hull: Array, facets: NDArray[np.int64], centre_of_mass: Array) -> RestingFaces:
@@ -77,21 +89,22 @@ def resting_faces(hull: Array, facets: NDArray[np.int64], centre_of_mass: Array)
         facets: (K, 3) triangles of the hull; none if the mesh is flat.
         centre_of_mass: (3,) mesh frame, metres.
     """
+    limits = RestingSettings.current()
     hull = hull - centre_of_mass
     size = float(np.linalg.norm(np.ptp(hull, axis=0)))
     if len(facets) == 0:
         normal = np.linalg.svd(hull - hull.mean(axis=0), full_matrices=False)[2][-1]
         none = np.zeros((0, 2), dtype=np.int64)
         return RestingFaces(np.stack([normal, -normal]), np.full(2, np.pi / 2), none, hull, size)
-    if np.ptp(_heights(hull, sphere_directions(500))) < _BALL * size:
+    if np.ptp(_heights(hull, sphere_directions(500))) < limits.ball * size:
         axes, none = np.vstack([np.eye(3), -np.eye(3)]), np.zeros((0, 2), dtype=np.int64)
-        return RestingFaces(axes, np.full(6, _STEADY), none, hull, size)
-    down, steady = _stable(hull, facets, max(_CONTACT * size, _CONTACT_FLOOR_M))
+        return RestingFaces(axes, np.full(6, limits.steady), none, hull, size)
+    down, steady = _stable(hull, facets, max(limits.contact * size, _CONTACT_FLOOR_M))
     down, steady = _merged(down, steady, _heights(hull, down))
-    rolling = _rolling(hull, down, _ROLLING * size)
+    rolling = _rolling(hull, down, limits.rolling * size)
     rolls = np.zeros(len(down), dtype=bool)
     rolls[rolling.reshape(-1)] = True
-    keep = (steady >= _STEADY) | rolls
+    keep = (steady >= limits.steady) | rolls
     if not keep.any():
         keep[int(steady.argmax())] = True
     number = np.cumsum(keep) - 1

@@ -15,6 +15,7 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.resting import RestingFaces, resting_faces, sphere_directions
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     import trimesh
@@ -26,12 +27,19 @@ _FEWEST_SAMPLES, _MOST_SAMPLES = 2000, 16000
 _FEW_VERTICES = 500
 # Odd numbers of rays, in directions that are not axes of typical meshes.
 _RAYS, _FIRST_RAYS = 11, 3
-# In a mesh with gaps, this fraction of the rays must report that a point is inside.
-_VOTES_IF_OPEN = 0.8
 # A mesh with a gap larger than this fraction of its diagonal is a sheet.
-_OPENING = 0.35
 _MOST_HULL_FACETS = 1400
 _KEPT = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolidSettings(Settings):
+    """When a mesh encloses a volume."""
+
+    votes_if_open: float = limit(0.8, source=NOT_RECORDED)
+    """fraction of the rays that must report that a point is inside a mesh with gaps"""
+    opening: float = limit(0.35, source=NOT_RECORDED)
+    """a mesh with a gap larger than this fraction of its diagonal is a sheet"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +119,7 @@ class Solid:
     @property
     def sheet(self) -> bool:
         """Whether the mesh is too open to have an inside, such as a cup one triangle thick."""
-        return self.gap_m > _OPENING * self.mesh.diagonal
+        return self.gap_m > SolidSettings.current().opening * self.mesh.diagonal
 
     @cached_property
     def gap_m(self) -> float:
@@ -217,7 +225,7 @@ class Solid:
         rest = np.flatnonzero(~clear)
         if len(rest):
             votes[rest] = (first[rest] + self._odd(points[rest], directions[_FIRST_RAYS:])) / _RAYS
-        return votes > (0.5 if self.closed else _VOTES_IF_OPEN), votes
+        return votes > (0.5 if self.closed else SolidSettings.current().votes_if_open), votes
 
     def _odd(self, points: NDArray[np.floating], directions: Array) -> NDArray[np.int64]:
         """(N,) number of rays from each point (N, 3) with an odd number of surface crossings."""

@@ -20,28 +20,37 @@ from std_toolkit.labels.support.plane import (
 )
 from std_toolkit.labels.support.solid import PlacedObject
 from std_toolkit.scene.scene import Frame, Scene, require_metres
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 MOST_FRAMES = 12
 
 _PLANES = 4
 
-_FEWEST_POINTS = 60
 
 # Largest relative depth bias of an uncalibrated sensor.
 UNKNOWN_BIAS = 0.02
 
 _CALIBRATED_BIAS = 0.005
 
-_SMALL_SHARE = 0.1
-
-_RIVAL = 0.6
-
-_SMALL_M = 0.08
-
-_ROUGH = 0.01
 
 # Gaps in a table, relative to the distance, that do not split it.
 _GAP = 0.04
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableSettings(Settings):
+    """Which planes are a table, and which are doubtful."""
+
+    fewest_points: int = limit(60, source=NOT_RECORDED)
+    """points that the search needs"""
+    small_share: float = limit(0.1, source=NOT_RECORDED)
+    """a plane with a smaller share of the points is doubtful"""
+    rival: float = limit(0.6, source=NOT_RECORDED)
+    """a second plane with a larger part of the score makes the first doubtful"""
+    small_m: float = limit(0.08, unit="m", source=NOT_RECORDED)
+    """a smaller plane is doubtful"""
+    rough_m: float = limit(0.01, unit="m", source=NOT_RECORDED)
+    """a plane with a larger scatter is doubtful"""
 
 
 @dataclass(frozen=True)
@@ -202,7 +211,8 @@ def _support(
     points: evidence.Points, place: _Place
 ) -> tuple[PlaneFit, neighbours.SupportScore, str] | str:
     """The best support among the planes in points, and a doubt about it; or why there is none."""
-    if len(points.xyz) < _FEWEST_POINTS:
+    limits = TableSettings.current()
+    if len(points.xyz) < limits.fewest_points:
         return "too few points"
     planes = find_planes(points.xyz, points.sigma, points.weight, count=_PLANES)
     if not planes:
@@ -220,7 +230,7 @@ def _support(
     if verdict.score == 0:
         return "no plane that the cameras see from above"
     rival = judged[1][1].score if len(judged) > 1 else 0.0
-    doubt = "another plane is almost as large" if rival > _RIVAL * verdict.score else ""
+    doubt = "another plane is almost as large" if rival > limits.rival * verdict.score else ""
     return best, verdict, doubt
 
 
@@ -231,19 +241,20 @@ def _described(
     doubt: str,
     place: _Place,
 ) -> TablePlane:
+    limits = TableSettings.current()
     plane = Plane(verdict.normal, verdict.offset, place.frame)
     inside = points.xyz[fit.inliers]
     centre = plane.project(np.average(inside, axis=0, weights=points.weight[fit.inliers]))
     reach = np.linalg.norm(plane.project(inside) - centre, axis=1)
     radius = float(np.quantile(reach, 0.9))
     doubts = [doubt] if doubt else []
-    if fit.weight < _SMALL_SHARE:
+    if fit.weight < limits.small_share:
         doubts.append(f"only {100 * fit.weight:.0f} % of the points are in it")
     if verdict.upright < 0.15:
         doubts.append("it could be a wall: the cameras do not look down on it")
-    if radius < _SMALL_M:
+    if radius < limits.small_m:
         doubts.append(f"it is small: {200 * radius:.0f} cm across")
-    if fit.rms_m > _ROUGH:
+    if fit.rms_m > limits.rough_m:
         doubts.append(f"the points scatter by {1000 * fit.rms_m:.0f} mm")
     if place.objects and not verdict.carried:
         doubts.append("no placed object stands on it")

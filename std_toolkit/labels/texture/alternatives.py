@@ -25,21 +25,13 @@ from std_toolkit.geometry.turned_surface import (
     turn_about,
 )
 from std_toolkit.labels.refine.object_surface import ObjectSurface, surface_of
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
 # Points on the surface that are compared, and steps of the alignment of the turned surface.
 _POINTS, _STEPS = 600, 8
 
-# Largest distance of 95 % of the turned surface from the surface, and shift of its centre, in
-# parts of the diagonal of the bounding box. A handle is more, the back of a bottle less.
-_DISTANCE, _SHIFT = 0.05, 0.08
-
-# A turned surface that is further away before its alignment is another shape.
-_HOPELESS = 0.15
-
-# Distance below which a turn counts as exact: not even a perfect outline tells it.
-_EXACT = 0.01
 
 # Turns nearer to one another are the same; of nearer ones both fail if one does.
 _SAME_TURN, _EQUAL_TURN = np.deg2rad(10), np.deg2rad(0.1)
@@ -47,16 +39,35 @@ _SAME_TURN, _EQUAL_TURN = np.deg2rad(10), np.deg2rad(0.1)
 # Turns that are tried about the axis of a surface of revolution.
 _ROUND_STEP_DEG = 20
 
-# An alternative is at least this far away; smaller turns are a matter of refinement.
-_FAR = np.deg2rad(15)
-
-# Turns that only mirror the silhouette are further away, and cover nearly the same pixels.
-_MIRRORED, _SILHOUETTE_IOU = np.deg2rad(60), 0.94
-
-# Silhouettes that overlap by more are equal but for the pixels of their rims.
-_EQUAL_IOU = 0.97
 
 _SILHOUETTE_PX = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlternativeSettings(Settings):
+    """Which turned poses look nearly the same."""
+
+    distance: float = limit(0.05, source="a handle is more, the back of a bottle less")
+    """largest distance of 95 % of the turned surface, in parts of the diagonal of the bounding
+    box"""
+    shift: float = limit(0.08, source=NOT_RECORDED)
+    """largest shift of its centre, in parts of the diagonal"""
+    hopeless: float = limit(0.15, source=NOT_RECORDED)
+    """a turned surface that is further away before its alignment is another shape"""
+    exact: float = limit(0.01, source="not even a perfect outline tells such a turn")
+    """distance below which a turn counts as exact"""
+    far: float = limit(
+        np.deg2rad(15),
+        unit="rad",
+        source="smaller turns are a matter of refinement",
+    )
+    """smallest turn of an alternative"""
+    mirrored: float = limit(np.deg2rad(60), unit="rad", source=NOT_RECORDED)
+    """smallest turn that only mirrors the silhouette"""
+    mirrored_iou: float = limit(0.94, source=NOT_RECORDED)
+    """smallest overlap of the silhouettes of such a turn"""
+    equal_iou: float = limit(0.97, source=NOT_RECORDED)
+    """silhouettes that overlap by more are equal but for the pixels of their rims"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +88,7 @@ class Alternative:
     @property
     def exact(self) -> bool:
         """Whether the turned surface is the surface, as far as an image can show."""
-        return self.distance <= _EXACT
+        return self.distance <= AlternativeSettings.current().exact
 
 
 class NearSymmetry:
@@ -123,16 +134,17 @@ class NearSymmetry:
         Args:
             poses: T_cam_obj of the views.
         """
+        limits = AlternativeSettings.current()
         known = [a.turn for a in self.turns]
         found: list[Alternative] = []
         views = _Views(self._surface, poses)
         for rotation, text in _cube_turns(self._bases):
             turn = turn_about(self._surface.centre, rotation)
-            if rotation_error(turn, SE3.identity(), self._symmetry) < _MIRRORED:
+            if rotation_error(turn, SE3.identity(), self._symmetry) < limits.mirrored:
                 continue
             if self._same.any(turn, [*known, *(a.turn for a in found)]):
                 continue
-            if views.same_silhouettes(turn, _SILHOUETTE_IOU):
+            if views.same_silhouettes(turn, limits.mirrored_iou):
                 found.append(Alternative(turn, text, float("nan")))
         return found
 
@@ -142,11 +154,13 @@ class NearSymmetry:
         Args:
             poses: T_cam_obj of the views; without any, the shape decides.
         """
+        limits = AlternativeSettings.current()
         if not poses:
             return alternative.exact
-        return _Views(self._surface, poses).same_silhouettes(alternative.turn, _EQUAL_IOU)
+        return _Views(self._surface, poses).same_silhouettes(alternative.turn, limits.equal_iou)
 
     def _find(self) -> Iterator[Alternative]:
+        limits = AlternativeSettings.current()
         found: list[SE3] = []
         failed: list[SE3] = []
         tried = [*_cube_turns(self._bases)]
@@ -155,14 +169,14 @@ class NearSymmetry:
             tried += _round_turns(*axis)
         for rotation, text in tried:
             turn = turn_about(self._surface.centre, rotation)
-            if rotation_error(turn, SE3.identity(), self._symmetry) < _FAR:
+            if rotation_error(turn, SE3.identity(), self._symmetry) < limits.far:
                 continue
             # Half of the turns of a cube are others in other words; upside-down turns of a bottle
             # differ by its symmetry only.
             if self._same.any(turn, found) or self._same.any(turn, failed, within=_EQUAL_TURN):
                 continue
             aligned, distance = self._aligned(turn)
-            if distance <= _DISTANCE:
+            if distance <= limits.distance:
                 found.append(aligned)
                 yield Alternative(aligned, text, distance)
             else:
@@ -170,21 +184,23 @@ class NearSymmetry:
 
     def _round_axis(self) -> tuple[Array, str] | None:
         """The axis about which the mesh is a surface of revolution, if there is one."""
+        limits = AlternativeSettings.current()
         for basis, names in self._bases:
             for k in range(3):
                 turns = [turn_about(self._surface.centre, so3_exp(basis[k] * np.deg2rad(a)))
                          for a in (20, 37, 45, 90)]  # fmt: skip
                 # Most axes fail at the first angle.
-                if all(self._aligned(t, steps=0)[1] <= 0.6 * _DISTANCE for t in turns):
+                if all(self._aligned(t, steps=0)[1] <= 0.6 * limits.distance for t in turns):
                     return basis[k], names[k]
         return None
 
     def _aligned(self, turn: SE3, *, steps: int = _STEPS) -> tuple[SE3, float]:
         """The turn moved so that the surfaces coincide best, and their distance then."""
-        start, limit = turn, _SHIFT * self._size
+        limits = AlternativeSettings.current()
+        start, limit = turn, limits.shift * self._size
         few = turn @ self._points[::5]
         rough = np.linalg.norm(self._surface.closest(few)[0] - few, axis=1)
-        if np.percentile(rough, 90) > _HOPELESS * self._size:
+        if np.percentile(rough, 90) > limits.hopeless * self._size:
             return turn, float("inf")
         turn = align_turn(
             turn,

@@ -16,13 +16,14 @@ from std_toolkit.geometry import SE3, rotation_error
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
 from std_toolkit.labels.texture.alternatives import Alternative, NearSymmetry
 from std_toolkit.labels.texture.scores import (
-    SMALLEST_PX,
     TextureScore,
+    TextureViewSettings,
     TextureWindow,
     cut_window,
     score_view,
 )
 from std_toolkit.rendering.texture import TexturedSurface
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Frames that are compared, and frames and size (pixels) of a first look at many alternatives.
 FRAMES, _FIRST_FRAMES, _FIRST_PX = 8, 3, 80.0
@@ -30,24 +31,37 @@ FRAMES, _FIRST_FRAMES, _FIRST_PX = 8, 3, 80.0
 # With more alternatives, such as all turns of a can, the best are found by a first look.
 _MANY, _FOLLOWED = 6, 4
 
-# Clarity of the best frame below which the surface in view counts as plain.
-_LEAST_CLARITY = 0.5
-
-# Least score and margin of a winner, each with a part that falls with the root of the number of
-# frames, and what is added where the best of many alternatives is taken.
-_SCORE, _MARGIN, _PER_FRAME = 0.15, 0.06, 0.1
-_SCORE_OF_MANY, _MARGIN_OF_MANY = 0.1, 0.05
-
-# The margin must exceed its standard deviation over the frames by this factor.
-_SURE = 1.5
-
-# The score and the margin at which the pose itself is confirmed.
-_OWN_SCORE, _OWN_MARGIN = 0.1, 0.02
-
 # A turn nearer than this is a matter of refinement: a texture hardly changes by it.
 _NEAR_TURN = np.deg2rad(45)
 
 TextureVerdict = Literal["fits", "turned", "undecided", "ambiguous"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureSettings(Settings):
+    """When a texture confirms a pose, and when another turn fits it better.
+
+    Scores are correlations, -1..1; margins are differences of scores.
+    """
+
+    clarity: float = limit(0.5, source=NOT_RECORDED)
+    """the surface in view counts as plain where its best frame is less clear (0..1)"""
+    per_frame: float = limit(0.1, source=NOT_RECORDED)
+    """added to scores and margins, divided by the root of the number of frames"""
+    turned_score: float = limit(0.15, source=NOT_RECORDED)
+    """smallest score of a turn that fits better"""
+    turned_margin: float = limit(0.06, source=NOT_RECORDED)
+    """smallest margin of a turn that fits better"""
+    many_score: float = limit(0.1, source=NOT_RECORDED)
+    """added to `turned_score` where the best of many turns is taken"""
+    many_margin: float = limit(0.05, source=NOT_RECORDED)
+    """added to `turned_margin` where the best of many turns is taken"""
+    turned_deviations: float = limit(1.5, source=NOT_RECORDED)
+    """smallest margin of a turn that fits better, in standard deviations over the frames"""
+    fits_score: float = limit(0.1, source=NOT_RECORDED)
+    """smallest score at which the pose itself is confirmed"""
+    fits_margin: float = limit(0.02, source=NOT_RECORDED)
+    """smallest margin over all other turns at which the pose itself is confirmed"""
 
 
 @dataclass(frozen=True)
@@ -119,7 +133,7 @@ def compare_texture(
         centre,
         obj.radius,
         count=FRAMES,
-        smallest_px=SMALLEST_PX,
+        smallest_px=TextureViewSettings.current().smallest_px,
     )
     views = [views[k] for k in chosen]
     in_view = [v.T_world_cam.inverse() @ obj.T_world_obj for v in views]
@@ -159,28 +173,32 @@ def _judge(
     mine = [s for s in own if s is not None]
     if not mine:
         return TextureComparison("undecided", None, "", float("nan"), float("nan"), 0)
-    if max(s.clarity for s in mine) < _LEAST_CLARITY:
+    limits = TextureSettings.current()
+    if max(s.clarity for s in mine) < limits.clarity:
         return None
     many = len(turns) > _MANY
     tried = _first_look(windows, surface, obj, turns) if many else turns
     duels = [
         _duel(mine, [score_view(w, surface, pose @ a.turn) for w in windows], a) for a in tried
     ]
-    per_frame = _PER_FRAME / np.sqrt(len(windows))
+    per_frame = limits.per_frame / np.sqrt(len(windows))
     if not duels:
         weight = np.array([s.strength + 1e-3 for s in mine])
         score = float(weight @ np.array([s.value for s in mine]) / weight.sum())
-        alone: TextureVerdict = "fits" if score >= _OWN_SCORE + per_frame else "undecided"
+        alone: TextureVerdict = "fits" if score >= limits.fits_score + per_frame else "undecided"
         return TextureComparison(alone, None, "", score, float("nan"), len(windows))
     best = max(duels, key=lambda d: d.margin)
     far = [d for d in duels if rotation_error(d.rival.turn, SE3.identity()) > _NEAR_TURN]
     verdict: TextureVerdict = "undecided"
-    if best.rival_score >= _SCORE + 1.5 * per_frame + _SCORE_OF_MANY * many and best.margin >= max(
-        _MARGIN + per_frame + _MARGIN_OF_MANY * many, _SURE * best.margin_std
+    score = limits.turned_score + 1.5 * per_frame + limits.many_score * many
+    margin = limits.turned_margin + per_frame + limits.many_margin * many
+    if best.rival_score >= score and best.margin >= max(
+        margin, limits.turned_deviations * best.margin_std
     ):
         verdict = "turned"
     elif all(
-        d.score >= _OWN_SCORE + per_frame and -d.margin >= _OWN_MARGIN + 0.5 * per_frame
+        d.score >= limits.fits_score + per_frame
+        and -d.margin >= limits.fits_margin + 0.5 * per_frame
         for d in far
     ):
         verdict = "fits"

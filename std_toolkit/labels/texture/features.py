@@ -7,9 +7,13 @@ and without their slow part, and pixels near creases and borders are left out.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -23,12 +27,6 @@ _CREASE_DEG, _CREASE_PX = 25.0, 2
 # Pixels this near to the silhouette are left out.
 _BORDER_PX = 3
 
-# Contrast (grey levels) of the texture without its slow part: below the first figure only noise and
-# baked-in shading, above the second a clear texture.
-_PLAIN, _TEXTURED = 3.0, 8.0
-
-# Contrast of a texture in large letters.
-_STRONG = 30.0
 
 # Shares of colours, colours without their slow part, and gradients in the agreement. Shading and
 # exposure disturb colours most, and gradients least.
@@ -37,11 +35,23 @@ _SHARES = (0.15, 0.35, 0.5)
 # The same when pictures are aligned.
 _SLOW_ALIGN = 0.15
 
-# Smaller parts of the surface between creases are left out, pixels.
-_FACET_PX = 40
 
 # The channels are smoothed to these sigmas when pictures are aligned, pixels; steps at each.
 _ALIGN_PX, _ALIGN_STEPS = (4.0, 2.0, 1.0), 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureContrastSettings(Settings):
+    """When a surface has a texture."""
+
+    plain: float = limit(3.0, unit="grey levels", source="noise and baked-in shading")
+    """below this contrast a surface is plain"""
+    textured: float = limit(8.0, unit="grey levels", source=NOT_RECORDED)
+    """above this contrast a texture is clear"""
+    strong: float = limit(30.0, unit="grey levels", source="a texture in large letters")
+    """contrast of a strong texture"""
+    facet_px: int = limit(40, unit="px", source=NOT_RECORDED)
+    """smaller parts of the surface between creases are left out"""
 
 
 def inner_mask(mask: Mask, normal: Array32) -> Mask:
@@ -79,12 +89,14 @@ def contrast(color: Array32, mask: Mask, size: float) -> float:
 
 def strength(level: float) -> float:
     """0 to 1, how much a view tells about the texture, from its contrast."""
-    return float(np.clip((level - _PLAIN) / (_STRONG - _PLAIN), 0, 1))
+    limits = TextureContrastSettings.current()
+    return float(np.clip((level - limits.plain) / (limits.strong - limits.plain), 0, 1))
 
 
 def clarity(level: float) -> float:
     """0 for a plain surface, 1 for a clear texture, from its contrast."""
-    return float(np.clip((level - _PLAIN) / (_TEXTURED - _PLAIN), 0, 1))
+    limits = TextureContrastSettings.current()
+    return float(np.clip((level - limits.plain) / (limits.textured - limits.plain), 0, 1))
 
 
 def facets(mask: Mask) -> NDArray[np.int32]:
@@ -94,7 +106,7 @@ def facets(mask: Mask) -> NDArray[np.int32]:
     """
     count, label, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     number = np.arange(count)
-    number[stats[:, cv2.CC_STAT_AREA] < _FACET_PX] = 0
+    number[stats[:, cv2.CC_STAT_AREA] < TextureContrastSettings.current().facet_px] = 0
     number[0] = 0
     return np.asarray(number[label], dtype=np.int32)
 

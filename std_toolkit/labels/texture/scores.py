@@ -21,21 +21,24 @@ from std_toolkit.labels.texture.features import (
     strength,
 )
 from std_toolkit.rendering.texture import TexturedSurface
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # The object's longer side in the pictures that are compared, pixels; a smaller one is not enlarged.
 _LONGEST_PX = 144.0
 
-SMALLEST_PX = 40.0
-"""An object with a smaller longer side in an image shows too little of its texture."""
 
-# Largest correction by the alignment, in parts of the object's longer side.
-_MOTION = 0.08
+@dataclass(frozen=True, kw_only=True)
+class TextureViewSettings(Settings):
+    """Views in which a texture is compared."""
 
-# With a smaller part of its pixels in view, an object is not compared.
-_VISIBLE = 0.4
-
-# Sensor depth nearer than the object by more than this shows something else in front of it.
-_IN_FRONT_M = 0.03
+    smallest_px: float = limit(40.0, unit="px", source=NOT_RECORDED)
+    """an object with a smaller longer side is not compared"""
+    largest_motion: float = limit(0.08, source=NOT_RECORDED)
+    """largest correction by the alignment, in parts of the object's longer side"""
+    visible: float = limit(0.4, source=NOT_RECORDED)
+    """with a smaller part of its pixels in view, an object is not compared"""
+    in_front_m: float = limit(0.03, unit="m", source=NOT_RECORDED)
+    """sensor depth that is nearer by more shows something else"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +123,13 @@ def cut_window(
     Args:
         others: objects that may hide it.
     """
+    limits = TextureViewSettings.current()
     T_cam_world = view.T_world_cam.inverse()
     box = surface.window(view.camera, T_cam_world @ T_world_obj)
     if box is None:
         return None
     size = float(max(box[2] - box[0], box[3] - box[1]))
-    if size < SMALLEST_PX:
+    if size < limits.smallest_px:
         return None
     camera, image = view.at_scale(min(1.0, _LONGEST_PX / size))
     x0, y0, x1, y1 = surface.window(camera, T_cam_world @ T_world_obj) or (0, 0, 0, 0)
@@ -142,7 +146,7 @@ def cut_window(
         hidden = caster.cast(camera, view.T_world_cam, np.stack([u, v], axis=-1)).depth
     if view.depth is not None:
         sensor = cv2.resize(view.depth, camera.size, interpolation=cv2.INTER_NEAREST)[y0:y1, x0:x1]
-        hidden = np.minimum(hidden, np.where(sensor > 0, sensor + _IN_FRONT_M, np.inf))
+        hidden = np.minimum(hidden, np.where(sensor > 0, sensor + limits.in_front_m, np.inf))
     return TextureWindow(
         camera,
         (x0, y0, x1, y1),
@@ -161,6 +165,7 @@ def score_view(
     Args:
         align: correct offsets of a few pixels before the comparison.
     """
+    limits = TextureViewSettings.current()
     pose = window.T_cam_world @ T_world_obj
     drawn = surface.draw(window.camera, pose, window=window.box)
     if drawn is None or not drawn.mask.any():
@@ -168,11 +173,13 @@ def score_view(
     shown = drawn.mask & (drawn.depth < window.hidden)
     visible = float(shown.sum() / drawn.mask.sum())
     inner = inner_mask(shown, drawn.normal) & drawn.sound
-    if visible < _VISIBLE or inner.sum() < 100:
+    if visible < limits.visible or inner.sum() < 100:
         return None
     taken = window.color
     if align:
-        taken = aligned(drawn.color, taken, inner, limit_px=max(3.0, _MOTION * window.size))
+        taken = aligned(
+            drawn.color, taken, inner, limit_px=max(3.0, limits.largest_motion * window.size)
+        )
     level = contrast(drawn.color, inner, window.size)
     value = agreement(drawn.color, taken, inner, window.size)
     return TextureScore(value, clarity(level), strength(level), visible)

@@ -17,20 +17,31 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.poses.board_scale import BoardDetection
-from std_toolkit.scanning.board.board_photos import MIN_CORNERS, MIN_PHOTOS
+from std_toolkit.scanning.board.board_photos import BoardPhotoSettings
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # A feature that no pose by the board explains within this is not at rest relative to the board.
-_LARGEST_ERROR_PX = 4.0
-_MIN_REGISTERED_POINTS = 20
 _MOST_TRACKS = 15_000
 # A corner, the meeting of two fitted edges, is about a fifth as far off as a feature: its square
 # counts as that of many.
 _CORNER_WEIGHT = 20
-# A corner is false, as one seen through glass or in a mirror, if its error exceeds this multiple of
-# the median error and this many pixels.
-_FALSE, _FALSE_PX = 6.0, 0.3
 # Cameras whose focal lengths differ less have square pixels.
 _SQUARE = 0.005
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardAdjustmentSettings(Settings):
+    """Features, corners and photos that the adjustment keeps."""
+
+    largest_error_px: float = limit(4.0, unit="px", source=NOT_RECORDED)
+    """a feature that no pose by the board explains within this is not at rest relative to the
+    board"""
+    fewest_points: int = limit(20, source=NOT_RECORDED)
+    """points that a photo without corners needs"""
+    false_ratio: float = limit(6.0, source="corners seen through glass or in a mirror")
+    """a corner is false if its error exceeds this multiple of the median error"""
+    false_px: float = limit(0.3, unit="px", source=NOT_RECORDED)
+    """and this many pixels"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +127,7 @@ def _free_camera(camera: Camera) -> Any:
 
     from std_toolkit.poses.colmap import to_colmap_camera
 
-    k = [*camera.distortion, 0.0, 0.0, 0.0, 0.0]
+    k = camera.opencv_distortion
     if len(camera.distortion) > 4 or abs(camera.fx / camera.fy - 1) > _SQUARE:
         return to_colmap_camera(camera, 1, distorted=True)
     plain = to_colmap_camera(camera.without_distortion(), 1)
@@ -154,7 +165,7 @@ def _triangulated(
         if (local[:, 2] < 0.02).any():
             continue
         error = np.linalg.norm(camera.project(local) - uv, axis=1)
-        if not (error < _LARGEST_ERROR_PX).all():
+        if not (error < BoardAdjustmentSettings.current().largest_error_px).all():
             continue
         found.append((X, frames, uv))
     found.sort(key=lambda t: -len(t[1]))
@@ -163,6 +174,7 @@ def _triangulated(
 
 def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[int, SE3]:
     """Poses of photos without the board, from features that photos with a pose triangulate."""
+    limits = BoardAdjustmentSettings.current()
     import pycolmap
 
     from std_toolkit.poses.colmap import from_rigid3d, to_colmap_camera, to_colmap_pixels
@@ -185,7 +197,7 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
                 points[int(tracks.frame[n])].append(X)
     found = {}
     for i in missing:
-        if len(points[i]) < _MIN_REGISTERED_POINTS:
+        if len(points[i]) < limits.fewest_points:
             continue
         estimation = pycolmap.AbsolutePoseEstimationOptions()
         estimation.ransac.max_error = 4.0
@@ -195,7 +207,7 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
             to_colmap_camera(camera, 1), estimation,
         )  # fmt: skip
         if result is not None and result["num_inliers"] >= max(
-            _MIN_REGISTERED_POINTS, 0.4 * len(points[i])
+            limits.fewest_points, 0.4 * len(points[i])
         ):
             found[i] = from_rigid3d(result["cam_from_world"]).inverse()
     return found
@@ -203,6 +215,7 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
 
 def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhotos:
     """Adjust poses, intrinsics and features; the corners are fixed and weigh more."""
+    limits = BoardPhotoSettings.current()
     import pycolmap
 
     from std_toolkit.options import Refinement
@@ -247,7 +260,7 @@ def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhot
         feature_rms_px=float(np.sqrt((squares**2).mean())) if len(squares) else float("nan"),
         scale_deviation=_scale_deviation(poses, found, camera),
         points=points,
-        without_board=tuple(i for i in range(count) if len(found[i].ids) < MIN_CORNERS),
+        without_board=tuple(i for i in range(count) if len(found[i].ids) < limits.fewest_corners),
     )
 
 
@@ -290,7 +303,8 @@ def _drop_false_corners(model: Any, fixed: set[int]) -> int:
 
 def _largest_error(errors: NDArray[np.float64]) -> float:
     """Error in pixels from which a corner is false, by the errors (N,) of all corners."""
-    return max(_FALSE_PX, _FALSE * float(np.median(errors)))
+    limits = BoardAdjustmentSettings.current()
+    return max(limits.false_px, limits.false_ratio * float(np.median(errors)))
 
 
 def _drop_outliers(model: Any, fixed: set[int]) -> None:
@@ -307,15 +321,16 @@ def _scale_deviation(
     poses: dict[int, SE3], found: Sequence[BoardDetection], camera: Camera
 ) -> float:
     """Half the spread of the scale between halves of the photos, relative: its uncertainty."""
+    limits = BoardPhotoSettings.current()
     from std_toolkit.poses.known_points import KnownView, scale_from_known_points
 
     views = [
         KnownView(T_cam_world=poses[i].inverse(), camera=camera, ids=found[i].ids,
                   xyz=found[i].xyz, uv=found[i].uv)
-        for i in poses if len(found[i].ids) >= MIN_CORNERS
+        for i in poses if len(found[i].ids) >= limits.fewest_corners
     ]  # fmt: skip
     views = views[:: max(1, len(views) // 12)]
-    if len(views) < MIN_PHOTOS:
+    if len(views) < limits.fewest_photos:
         return float("nan")
     try:
         estimate = scale_from_known_points(views, source="board", note="", threshold_m=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -13,10 +14,17 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.poses.board_scale import Board, BoardDetection, detect_board
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Corners that a photo needs for a pose of its own.
-MIN_CORNERS = 8
-MIN_PHOTOS = 3
+
+@dataclass(frozen=True, kw_only=True)
+class BoardPhotoSettings(Settings):
+    """What the board must show of itself."""
+
+    fewest_corners: int = limit(8, source=NOT_RECORDED)
+    """corners that a photo needs for a pose of its own"""
+    fewest_photos: int = limit(3, source=NOT_RECORDED)
+    """photos with so many corners that a scan needs"""
 
 
 def detect_boards(paths: Sequence[Path], board: Board, jobs: JobOptions) -> list[BoardDetection]:
@@ -38,8 +46,9 @@ def check_boards(found: Sequence[BoardDetection], paths: Sequence[Path], board: 
     Raises:
         ToolkitError: the board is in fewer than three photos.
     """
-    seen = sum(len(f.ids) >= MIN_CORNERS for f in found)
-    if seen < MIN_PHOTOS:
+    limits = BoardPhotoSettings.current()
+    seen = sum(len(f.ids) >= limits.fewest_corners for f in found)
+    if seen < limits.fewest_photos:
         raise ToolkitError(
             f"the board was found in {seen} of {len(paths)} photos",
             path=board,
@@ -58,8 +67,9 @@ def calibrate(found: Sequence[BoardDetection], size: tuple[int, int]) -> Camera:
     Raises:
         ToolkitError: the photos do not determine the intrinsics.
     """
-    usable = [f for f in found if len(f.ids) >= 2 * MIN_CORNERS]
-    if len(usable) < MIN_PHOTOS:
+    limits = BoardPhotoSettings.current()
+    usable = [f for f in found if len(f.ids) >= 2 * limits.fewest_corners]
+    if len(usable) < limits.fewest_photos:
         raise ToolkitError(
             f"only {len(usable)} photos show enough of the board to calibrate the camera",
             hint="give --intrinsics, or photograph more of the board",
@@ -87,11 +97,12 @@ def calibrate(found: Sequence[BoardDetection], size: tuple[int, int]) -> Camera:
 
 def board_pose(found: BoardDetection, camera: Camera) -> tuple[SE3, float] | None:
     """T_cam_board and the median error in pixels of one photo; None without enough corners."""
-    if len(found.ids) < MIN_CORNERS:
+    limits = BoardPhotoSettings.current()
+    if len(found.ids) < limits.fewest_corners:
         return None
     xy = camera.unproject(found.uv)[:, :2]
     good = np.isfinite(xy).all(axis=1)
-    if good.sum() < MIN_CORNERS:
+    if good.sum() < limits.fewest_corners:
         return None
     xyz, xy = np.ascontiguousarray(found.xyz[good]), np.ascontiguousarray(xy[good])
     done, rvec, tvec = cv2.solvePnP(xyz, xy, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)

@@ -21,7 +21,7 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.scanning.board.board_adjustment import PosedPhotos, adjust, build_model
-from std_toolkit.scanning.board.board_photos import MIN_PHOTOS, board_pose
+from std_toolkit.scanning.board.board_photos import BoardPhotoSettings, board_pose
 from std_toolkit.scanning.board.object_checks import check_rest
 
 # Angle between viewing directions up to which photos are matched.
@@ -57,7 +57,7 @@ def pose_photos(
         # Corners that a plane does not explain are misread tags.
         if pose is not None and pose[1] < 0.01 * max(camera.size):
             start[i] = pose[0].inverse()
-    if len(start) < MIN_PHOTOS:
+    if len(start) < BoardPhotoSettings.current().fewest_photos:
         raise ToolkitError(f"the board gives a pose in {len(start)} of {len(paths)} photos")
     # The board's z axis points into the table where its file has y downwards.
     up = float(np.median([T.t[2] for T in start.values()])) > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,25 +13,40 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Height above the table from which a feature is one of the object.
-_ABOVE_M = 0.008
 # Photos from directions within this angle see the same features.
-_SIMILAR_DEG = 35.0
-_LARGEST_ERROR_PX = 4.0
-# Features that photos of an object at rest share, and that photos before and after a move share.
-_MANY, _NONE = 15, 3
-# Pairs of photos before and after a move, and the share of them that share no feature, beyond that
-# of pairs on one side of the move.
-_LEAST_PAIRS, _SHARE_NONE = 4, 0.5
-# Photos whose directions differ in height by more than this share fewer features.
-_LEVEL_DEG = 8.0
-# Overlap, from above, of the boxes around the features of an object that stayed in its place.
-_SAME_PLACE = 0.5
 # Features of one object lie in a box with this margin.
 _MARGIN_M = 0.005
-# Corners of tags in one photo, and photos, that show the board through the object.
-_CORNERS_THROUGH, _PHOTOS_THROUGH = 4, 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestSettings(Settings):
+    """When an object moved between photos, and when the board shows through it."""
+
+    above_m: float = limit(0.008, unit="m", source=NOT_RECORDED)
+    """height above the table from which a feature is one of the object"""
+    similar_deg: float = limit(35.0, unit="deg", source=NOT_RECORDED)
+    """photos from directions within this angle see the same features"""
+    largest_error_px: float = limit(4.0, unit="px", source=NOT_RECORDED)
+    """largest error of a feature at rest"""
+    many: int = limit(15, source=NOT_RECORDED)
+    """features that photos of an object at rest share"""
+    none: int = limit(3, source=NOT_RECORDED)
+    """largest number of features that photos before and after a move share"""
+    fewest_pairs: int = limit(4, source=NOT_RECORDED)
+    """pairs of photos on either side of a move"""
+    share_none: float = limit(0.5, source=NOT_RECORDED)
+    """share of the pairs across a move that share no feature, beyond that of pairs on one side"""
+    level_deg: float = limit(8.0, unit="deg", source=NOT_RECORDED)
+    """photos whose directions differ in height by more share fewer features"""
+    same_place: float = limit(0.5, source=NOT_RECORDED)
+    """overlap, from above, of the boxes around the features of an object that stayed in its
+    place"""
+    corners_through: int = limit(4, source=NOT_RECORDED)
+    """corners of tags in one photo that show the board through the object"""
+    photos_through: int = limit(3, source=NOT_RECORDED)
+    """such photos from which an object is clear"""
 
 
 def check_rest(
@@ -59,9 +75,10 @@ def check_rest(
     Raises:
         ToolkitError: it moved.
     """
+    limits = RestSettings.current()
     ends, points = [], []
     for i, j, matches in pairs:
-        if i not in poses or j not in poses or _angle(poses[i], poses[j]) > _SIMILAR_DEG:
+        if i not in poses or j not in poses or _angle(poses[i], poses[j]) > limits.similar_deg:
             continue
         ends.append((min(i, j), max(i, j)))
         points.append(_shared(uv[i][matches[:, 0]], uv[j][matches[:, 1]], poses[i], poses[j],
@@ -71,23 +88,23 @@ def check_rest(
     first, last = np.array(ends).T
     count = np.array([len(p) for p in points])
     level = np.array([_height(poses[i]) - _height(poses[j]) for i, j in ends])
-    level = np.abs(level) < _LEVEL_DEG
-    found, most = None, _SHARE_NONE
+    level = np.abs(level) < limits.level_deg
+    found, most = None, limits.share_none
     for k in sorted(poses)[1:]:
         across = np.flatnonzero((first < k) & (last >= k))
         early, late = np.flatnonzero(last < k), np.flatnonzero(first >= k)
-        if min(len(across), len(early), len(late)) < _LEAST_PAIRS:
+        if min(len(across), len(early), len(late)) < limits.fewest_pairs:
             continue
         # Photos beside a plain side of an object share nothing either, with any photo.
         beside = count[early][last[early] == k - 1], count[late][first[late] == k]
-        if min(c.max(initial=0) for c in beside) < _MANY:
+        if min(c.max(initial=0) for c in beside) < limits.many:
             continue
-        if min(np.median(count[early]), np.median(count[late])) < _MANY:
+        if min(np.median(count[early]), np.median(count[late])) < limits.many:
             continue
         boxes = [_box([points[n] for n in part]) for part in (early, late)]
         none = np.array([
             min(int(((points[n] >= low) & (points[n] <= high)).all(axis=1).sum())
-                for low, high in boxes) <= _NONE
+                for low, high in boxes) <= limits.none
             for n in across
         ])  # fmt: skip
         # Photos from two heights may share little although nothing moved. After a move, those from
@@ -95,12 +112,15 @@ def check_rest(
         within = np.concatenate([early, late])
         share = min(
             float(none[level[across] == kind].mean())
-            - _mean(count[within[level[within] == kind]] <= _NONE)
+            - _mean(count[within[level[within] == kind]] <= limits.none)
             for kind in np.unique(level[across])
         )
         # Between a low and a high round, no pair tells how much photos of an object at rest share:
         # a low box shows them little but its sides, or its top. If it moved, it stands elsewhere.
-        if not (level[across].any() or (~level[within]).any()) and _overlap(*boxes) > _SAME_PLACE:
+        if (
+            not (level[across].any() or (~level[within]).any())
+            and _overlap(*boxes) > limits.same_place
+        ):
             continue
         if share >= most and (found is None or share > most):
             found, most = k, share
@@ -144,6 +164,7 @@ def _shared(
     a: Array, b: Array, pose_a: SE3, pose_b: SE3, camera: Camera, reach: tuple[Array, Array]
 ) -> Array:
     """Points (N, 3) above the board at which matches (M, 2), (M, 2) meet."""
+    limits = RestSettings.current()
     if len(a) == 0:
         return np.zeros((0, 3))
     rays = [np.asarray(pose.R @ camera.unproject(p).T).T for pose, p in ((pose_a, a), (pose_b, b))]
@@ -155,11 +176,11 @@ def _shared(
     point = pose_a.t + along[:, None] * d
     low, high = reach
     with np.errstate(invalid="ignore"):
-        good = (along > 0) & (point[:, 2] > _ABOVE_M)
+        good = (along > 0) & (point[:, 2] > limits.above_m)
         good &= ((point[:, :2] > low) & (point[:, :2] < high)).all(axis=1)
     for pose, p in ((pose_a, a), (pose_b, b)):
         off = np.linalg.norm(camera.project(pose.inverse() @ point) - p, axis=1)
-        good &= np.nan_to_num(off, nan=np.inf) < _LARGEST_ERROR_PX
+        good &= np.nan_to_num(off, nan=np.inf) < limits.largest_error_px
     return np.asarray(point[good])
 
 
@@ -176,6 +197,7 @@ def check_opaque(
     Raises:
         ToolkitError: the object is transparent.
     """
+    limits = RestSettings.current()
     caster = RayCaster(vertices, faces)
     through = []
     for view in views:
@@ -185,9 +207,9 @@ def check_opaque(
         rays = np.asarray(view.T_world_cam.R @ view.camera.unproject(uv).T).T
         start = np.broadcast_to(view.centre, rays.shape)
         hit = np.isfinite(caster.cast(np.concatenate([start, rays], axis=1)).distance)
-        if hit.sum() >= _CORNERS_THROUGH:
+        if hit.sum() >= limits.corners_through:
             through.append(view.name)
-    if len(through) >= _PHOTOS_THROUGH:
+    if len(through) >= limits.photos_through:
         raise ToolkitError(
             f"the object is transparent: {len(through)} photos show the board through it",
             value=", ".join(through[:4]),

@@ -16,28 +16,36 @@ from std_toolkit.scanning.masks.hull import surface_of
 from std_toolkit.scanning.masks.table_comparison import Comparison, compare
 from std_toolkit.scanning.masks.table_model import model_tables
 from std_toolkit.scanning.photos.views import Array, Grid, Mask, View, in_threads
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Voxels of the first, coarse hull.
 _COARSE_VOXELS = 400_000
 # Height of an object in sizes of the board.
 _TALLEST = 2.0
-# Candidates smaller than this share of the largest are not offered.
-_SMALL = 0.02
-# Share of the photos in which an object hides the table.
-_HIDES = 0.2
-# Height above the table from which a voxel or a point counts as part of an object.
-_ABOVE_M = 0.004
 # Features of one object have a neighbour within this distance.
 _LINK_M = 0.02
-_MIN_POINTS = 20
 # Sizes of the inner part of a hull of points, and of what may belong to the object.
 _INNER, _OUTER = 0.7, 1.15
 # Rim of a coarse hull that may not be the object, as a share of the depth where it is deepest.
 _RIM = 0.3
-# A picked pixel belongs to the features around it.
-_PICK_PX = 45.0
 
 Surface = tuple[Array, NDArray[np.int64]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateSettings(Settings):
+    """What counts as an object on the table."""
+
+    small: float = limit(0.02, source=NOT_RECORDED)
+    """candidates smaller than this share of the largest are not offered"""
+    hides: float = limit(0.2, source=NOT_RECORDED)
+    """share of the photos in which an object hides the table"""
+    above_m: float = limit(0.004, unit="m", source=NOT_RECORDED)
+    """height above the table from which a voxel or a point counts as part of an object"""
+    fewest_points: int = limit(20, source=NOT_RECORDED)
+    """features of an object"""
+    pick_px: float = limit(45.0, unit="px", source=NOT_RECORDED)
+    """a picked pixel belongs to the features within this distance"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +93,7 @@ def find_candidates(
         corners: (M, 3) corners of the board, world.
         threads: number of threads.
     """
+    limits = CandidateSettings.current()
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     size = float((high - low).max())
     # Objects stand on the board or reach over its border by a little.
@@ -93,7 +102,7 @@ def find_candidates(
     tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), _TALLEST * size)
     box = np.array([*(high - low), tallest])
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
-    grid = Grid.around(np.array([*low, _ABOVE_M]), np.array([*high, tallest]), step, margin=0)
+    grid = Grid.around(np.array([*low, limits.above_m]), np.array([*high, tallest]), step, margin=0)
 
     compared = compare_with_table(views, corners, threads=threads)
     different, possible = _not_carved(views, compared, grid)
@@ -168,6 +177,7 @@ def _split(
     different: NDArray[np.int16], possible: Mask, grid: Grid, photos: int
 ) -> list[Candidate]:
     """Connected parts of the coarse hull that begin near the table, largest first."""
+    limits = CandidateSettings.current()
     labels, _ = ndimage.label(possible & (different >= 3))
     found = []
     bottom = max(2, round(0.02 / grid.step))
@@ -177,7 +187,7 @@ def _split(
         if part.sum() < 12 or place[0].start > bottom or volume < 5e-7:
             continue
         # Places that few photos show well are not carved, but do not hide the table either.
-        if np.percentile(different[place][part], 90) < _HIDES * photos:
+        if np.percentile(different[place][part], 90) < limits.hides * photos:
             continue
         start = np.array([s.start for s in place])
         corner = grid.points(start[None])[0]
@@ -191,7 +201,7 @@ def _split(
             )
         )  # fmt: skip
     found.sort(key=lambda c: -c.volume)
-    return [c for c in found if c.volume > _SMALL * found[0].volume]
+    return [c for c in found if c.volume > limits.small * found[0].volume]
 
 
 def _outer(part: Mask, possible: Mask, grid: Grid) -> Surface:
@@ -292,19 +302,20 @@ def cluster_points(
     Returns:
         None if the chosen object has too few features.
     """
+    settings = CandidateSettings.current()
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    points = points[points[:, 2] > 1.5 * _ABOVE_M]
+    points = points[points[:, 2] > 1.5 * settings.above_m]
     chosen = pick or box
-    if chosen is None or len(points) < _MIN_POINTS:
+    if chosen is None or len(points) < settings.fewest_points:
         return None
     uv, z = views[chosen[0]].project(points)
     with np.errstate(invalid="ignore"):
         if box is not None:
             near = ((uv >= box[1:3]) & (uv <= box[3:])).all(axis=1) & (z > 0)
         else:
-            near = (np.linalg.norm(uv - np.array(chosen[1:3]), axis=1) < _PICK_PX) & (z > 0)
+            near = (np.linalg.norm(uv - np.array(chosen[1:3]), axis=1) < settings.pick_px) & (z > 0)
     tree = cKDTree(points)
     pairs = tree.sparse_distance_matrix(tree, _LINK_M, output_type="coo_matrix")
     _, label = connected_components(pairs, directed=False)
@@ -319,7 +330,7 @@ def cluster_points(
         if box is not None and n == best:
             # The box limits the object, too.
             part = points[(label == n) & near]
-        candidate = _standing_hull(part) if len(part) >= _MIN_POINTS else None
+        candidate = _standing_hull(part) if len(part) >= settings.fewest_points else None
         if candidate is not None:
             found.append(candidate)
         elif n == best:

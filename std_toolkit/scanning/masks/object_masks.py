@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_mask, write_color
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.scanning.board.object_checks import check_opaque
 from std_toolkit.scanning.masks import candidates as standing
 from std_toolkit.scanning.masks.masks import dilated, segment_by_border
@@ -20,22 +21,18 @@ from std_toolkit.scanning.masks.proven_masks import segment_on_table
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
-from std_toolkit.scanning.stages import Stages
-from std_toolkit.scene.document import digest_of
 
 # Width of the rim of a mask that may lack a part of the object.
 _RIM_PX = 3
 
 
-def object_masks(
-    options: ScanOptions, posed: PosedPhotos, stages: Stages, threads: int
-) -> list[View]:
+def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: int) -> list[View]:
     """Views with the mask of the object; views that do not show it are left out.
 
     Args:
         options: `masks`, `pick`, `box` and `revolve` are used; the user's masks take precedence.
         posed: the photos.
-        stages: keeps the masks.
+        work: folder that keeps the masks.
         threads: to use.
 
     Raises:
@@ -45,7 +42,8 @@ def object_masks(
     own = _own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    key = digest_of(posed.digest, options.pick, options.box, "masks 13")
+    values = {"pick": options.pick, "box": options.box, "format": 13}
+    artefact = Artefact(work, "masks", {"poses": posed.digest}, values)
 
     def make() -> dict[str, Any]:
         if not posed.on_table:
@@ -58,7 +56,7 @@ def object_masks(
                 out[f"hidden{i}"] = np.packbits(v.hidden)
         return out
 
-    a = stages.arrays("masks", key, make)
+    a = artefact.arrays(make)
     done = []
     for i, view in enumerate(views):
         shape = view.image.shape[:2]

@@ -9,6 +9,7 @@ as at the feet of the object, and before a wall.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -27,12 +28,18 @@ from std_toolkit.scanning.masks.masks import (
 )
 from std_toolkit.scanning.masks.table_comparison import Comparison
 from std_toolkit.scanning.photos.views import Mask, View, in_threads
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Islands of the table's colour within an object, as a share of its outline: smaller ones belong
-# to its texture.
-_ISLAND = 0.03
-# Photos, as a share of all, that may see the bare table through a point of the first hull.
-_CONTRADICTIONS = 0.06
+
+@dataclass(frozen=True, kw_only=True)
+class ProvenMaskSettings(Settings):
+    """Which pixels are the bare table."""
+
+    island: float = limit(0.03, source=NOT_RECORDED)
+    """islands of the table's colour within an object that are smaller, as a share of its
+    outline, belong to its texture"""
+    contradictions: float = limit(0.06, source=NOT_RECORDED)
+    """share of the photos that may see the bare table through a point of the first hull"""
 
 
 def segment_on_table(
@@ -79,7 +86,7 @@ def segment_on_table(
 
     found = in_threads(bounded, range(len(views)), threads=threads)
     first, never = [view for view, _ in found], [table for _, table in found]
-    allowed = max(1, round(_CONTRADICTIONS * len(views)))
+    allowed = max(1, round(ProvenMaskSettings.current().contradictions * len(views)))
     hull = hull_of(first, cells=1_000_000, allowed=allowed, threads=threads)
 
     def proven(i: int) -> tuple[View, Mask]:
@@ -124,6 +131,6 @@ def without_islands(clear: Mask, outline: Mask) -> Mask:
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
     outside = np.zeros(count + 1, bool)
     outside[np.unique(labels[clear & ~outline])] = True
-    table = outside | (sizes > _ISLAND * outline.sum())
+    table = outside | (sizes > ProvenMaskSettings.current().island * outline.sum())
     table[0] = False
     return np.asarray(table[labels])

@@ -10,11 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry.camera import pixel_rays
-from std_toolkit.scanning.masks.table_model import FLATTEST, TableModel
+from std_toolkit.scanning.masks.table_model import TableModel, TableModelSettings
 from std_toolkit.scanning.photos.views import Array, Mask, View
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Grey values of texture that a photo must show, too, and their smallest share there, to be clear.
-_TEXTURE, _TEXTURE_SHOWN = 40.0, 0.4
+
+@dataclass(frozen=True, kw_only=True)
+class TableComparisonSettings(Settings):
+    """When a photo shows the bare table clearly."""
+
+    texture: float = limit(40.0, unit="grey levels", source=NOT_RECORDED)
+    """texture of the table that a photo must show, too"""
+    texture_shown: float = limit(0.4, source=NOT_RECORDED)
+    """smallest share of it that a photo must show"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +50,18 @@ def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
         tables: of `model_table` over all photos; where several know a place, the first counts.
         index: index of the photo among them.
     """
+    limits = TableComparisonSettings.current()
     off, textured, beyond = _against(view, tables, index)
     known = np.isfinite(off)
     # Before tags, a plain object has one of their colours everywhere.
     _, side = _seen(view, tables[0])
     cells = np.ones((side, side), np.uint8)
     shown = (cv2.dilate(view.image, cells) - cv2.erode(view.image, cells)).max(axis=-1)
-    clear = known & (off < 1) & ((textured < _TEXTURE) | (shown > _TEXTURE_SHOWN * textured))
+    clear = (
+        known
+        & (off < 1)
+        & ((textured < limits.texture) | (shown > limits.texture_shown * textured))
+    )
     clear = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     return Comparison(clear, known & (off > 2), known, beyond)
 
@@ -81,8 +94,9 @@ def _against(
 
 def _rays(view: View, every: int = 1) -> tuple[Array, Mask]:
     """(h, w, 3) rays of every n-th pixel, world, and those that are steep enough to compare."""
+    limits = TableModelSettings.current()
     rays = pixel_rays(view.camera)[::every, ::every] @ view.T_world_cam.R.T
-    return rays, -rays[..., 2] / np.linalg.norm(rays, axis=-1) > FLATTEST
+    return rays, -rays[..., 2] / np.linalg.norm(rays, axis=-1) > limits.flattest
 
 
 def _pixel_m(view: View) -> float:

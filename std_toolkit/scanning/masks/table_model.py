@@ -14,40 +14,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.scanning.photos.views import Array, Mask, View
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _CELL_M = 0.001
 _MOST_CELLS = 250_000
-_MIN_PHOTOS = 4
 # Spreads of the table's own colour by which a photo may differ from it, and the limits of this
 # width in grey values; what differs by twice the width is something else. A wide width takes white
 # texture of an object for white paper behind it.
-_WIDTHS, _NARROWEST, _WIDEST = 2.0, 5.0, 14.0
-# Share of the photos that agree on the colour of the table, and the share of those beside an
-# object, which hides it from most; these must agree better by a factor.
-_AGREE, _AGREE_BESIDE, _BETTER = 0.5, 0.3, 2.0
-# Share of the photos that leave a cell in doubt if they agree on another colour, and the grey
-# values within which they then lie.
-_AGREE_ELSE, _CLOSE = 0.25, 2.0
-# A cell whose photos differ more is no table at rest: a moving background, or the object.
-_LARGEST_SPREAD = 22.0
-# Share of the cells around the board that are at rest on a table, and are not around a turntable.
-_AT_REST = 0.6
+_WIDTHS = 2.0
 # Rings of cells by which the table is continued under the object, their width, the difference from
 # the colour beside them, the share of the photos that must show it, and their difference from each
 # other in parts of the usual spread.
-_RINGS, _RING, _CONTINUED, _CONTINUED_SHARE, _STEADY = 16, 4, 20.0, 0.25, 1.5
-# The continued table in parts of the brightness of the known one, and its deviation in hue.
-_DARKEST, _BRIGHTEST, _OTHER_HUE = 0.4, 1.15, 10.0
-# Logarithm of the exposure within which a cell suits it, and how many times as many cells must suit
-# another one than the median.
-_SAME_GAIN, _MORE = 0.04, 1.5
+_RINGS, _RING = 16, 4
 # Share of the cells from which the board is compared instead of all of them.
 _BOARD = 0.2
 # Margin of the table around the board, and of the far one that is compared coarsely, in sizes of
 # the board.
 _NEAR, _FAR = 0.35, 3.0
-# Sine of the angle below which the table is seen too flat to compare.
-FLATTEST = 0.12
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableModelSettings(Settings):
+    """Cells of the table on which the photos agree."""
+
+    fewest_photos: int = limit(4, source=NOT_RECORDED)
+    """photos that must see a cell"""
+    narrowest: float = limit(5.0, unit="grey levels", source=NOT_RECORDED)
+    """smallest difference from the table's colour that counts"""
+    widest: float = limit(
+        14.0,
+        unit="grey levels",
+        source="a wide width takes white texture of an object for white paper behind it",
+    )
+    """largest difference that is still the table"""
+    agree: float = limit(0.5, source=NOT_RECORDED)
+    """share of the photos that agree on the colour of the table"""
+    agree_beside: float = limit(0.3, source="an object hides the table from most photos")
+    """the same beside an object"""
+    better: float = limit(2.0, source=NOT_RECORDED)
+    """factor by which the photos beside an object must agree better"""
+    agree_else: float = limit(0.25, source=NOT_RECORDED)
+    """share of the photos that leave a cell in doubt if they agree on another colour"""
+    close: float = limit(2.0, unit="grey levels", source=NOT_RECORDED)
+    """scatter of those photos"""
+    largest_spread: float = limit(22.0, unit="grey levels", source=NOT_RECORDED)
+    """a cell whose photos differ more is a moving background, or the object"""
+    at_rest: float = limit(0.6, source=NOT_RECORDED)
+    """share of the cells around the board that are at rest on a table, and are not around a
+    turntable"""
+    continued: float = limit(20.0, unit="grey levels", source=NOT_RECORDED)
+    """largest difference of the continued table from the colour beside it"""
+    continued_share: float = limit(0.25, source=NOT_RECORDED)
+    """share of the photos that must show the continued table"""
+    steady: float = limit(1.5, source=NOT_RECORDED)
+    """largest spread of these photos in parts of the usual spread"""
+    darkest: float = limit(0.4, source=NOT_RECORDED)
+    """smallest brightness of the continued table in parts of the known one"""
+    brightest: float = limit(1.15, source=NOT_RECORDED)
+    """largest brightness of the continued table in parts of the known one"""
+    other_hue: float = limit(10.0, unit="grey levels", source=NOT_RECORDED)
+    """largest deviation of its hue"""
+    same_gain: float = limit(0.04, source=NOT_RECORDED)
+    """logarithm of the exposure within which a cell suits it"""
+    more: float = limit(1.5, source=NOT_RECORDED)
+    """factor by which more cells must suit another exposure than the median"""
+    flattest: float = limit(0.12, source=NOT_RECORDED)
+    """sine of the angle below which the table is seen too flat to compare"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +138,7 @@ def model_table(
         corners: (M, 3) corners of the board that photos show, world: they lie on the table.
         blocked: (H, W) pixels of each photo before which something stands.
     """
+    limits = TableModelSettings.current()
     cell = max(_CELL_M, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
     w, h = (int(n) for n in np.ceil((high - low) / cell) + 1)
     y, x = np.mgrid[:h, :w]
@@ -118,7 +151,7 @@ def model_table(
         uv, z = view.project(flat)
         uv = np.where(np.isfinite(uv), uv, -10).astype(np.float32)
         inside = (uv > 0).all(axis=1) & (uv < np.array(view.camera.size) - 1).all(axis=1) & (z > 0)
-        steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > FLATTEST
+        steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > limits.flattest
         seen[i] = shown[i] = inside & steep
         if blocked is not None:
             x, y = np.rint(uv[inside].T).astype(np.int64)
@@ -137,17 +170,17 @@ def model_table(
     for _ in range(2):
         color, spread = _agreed(samples, seen, gains)
         for i in range(len(views)):
-            use = seen[i] & (spread < _LARGEST_SPREAD) & (color.min(axis=1) > 20)
+            use = seen[i] & (spread < limits.largest_spread) & (color.min(axis=1) > 20)
             use &= board
             if use.sum() > 500:
                 gains[i] = _gain(samples[i][use] / color[use])
-    enough = (seen.sum(axis=0) >= _MIN_PHOTOS).reshape(h, w)
-    known = enough & (spread < _LARGEST_SPREAD).reshape(h, w)
-    usual = float(np.median(spread[known.ravel()])) if known.any() else _WIDEST
+    enough = (seen.sum(axis=0) >= limits.fewest_photos).reshape(h, w)
+    known = enough & (spread < limits.largest_spread).reshape(h, w)
+    usual = float(np.median(spread[known.ravel()])) if known.any() else limits.widest
     colors = color.reshape(h, w, 3)
     known = _of_the_table(known, (corners[:, :2] - low) / cell)
     _continue(colors, known, samples.reshape(-1, h, w, 3), shown.reshape(-1, h, w), gains, usual)
-    width = float(np.clip(_WIDTHS * usual, _NARROWEST, _WIDEST))
+    width = float(np.clip(_WIDTHS * usual, limits.narrowest, limits.widest))
     return TableModel(low, cell, colors, enough, known, gains, width)
 
 
@@ -157,16 +190,17 @@ def _gain(ratios: NDArray[np.float32]) -> NDArray[np.float32]:
     The median, unless an object hides most of the board from a low camera: then that of the third
     of the cells that differ least, if it suits clearly more cells.
     """
+    limits = TableModelSettings.current()
     grey = np.log(np.maximum(ratios.mean(axis=-1), 1e-3))
     order = grey.argsort()
-    k = max(1, round(_AGREE_BESIDE * len(order)))
+    k = max(1, round(limits.agree_beside * len(order)))
     width = grey[order[k - 1 :]] - grey[order[: len(order) - k + 1]]
     first = int(width.argmin())
     usual = np.median(ratios, axis=0)
     agreed = np.median(ratios[order[first : first + k]], axis=0)
-    suits = [(np.abs(grey - np.log(max(gain.mean(), 1e-3))) < _SAME_GAIN).sum()
+    suits = [(np.abs(grey - np.log(max(gain.mean(), 1e-3))) < limits.same_gain).sum()
              for gain in (usual, agreed)]  # fmt: skip
-    return np.asarray(agreed if suits[1] > _MORE * suits[0] else usual, np.float32)
+    return np.asarray(agreed if suits[1] > limits.more * suits[0] else usual, np.float32)
 
 
 def _of_the_table(known: Mask, corners: Array) -> Mask:
@@ -200,6 +234,7 @@ def _continue(
     may get darker towards the object, but not of another hue. Pixels that are blocked are used,
     too: the outlines that block them may be too large.
     """
+    limits = TableModelSettings.current()
     origin = color.copy()
     for _ in range(_RINGS):
         near = cv2.dilate(known.astype(np.uint8), np.ones((2 * _RING + 1,) * 2, np.uint8)) > 0
@@ -215,16 +250,18 @@ def _continue(
         )
         value = samples[:, rows, columns].astype(np.float32) / gains[:, None]
         there = shown[:, rows, columns]
-        fits = there & (np.abs(value - expected).max(axis=-1) < _CONTINUED)
+        fits = there & (np.abs(value - expected).max(axis=-1) < limits.continued)
         gain = value.mean(axis=-1) / np.maximum(bare.mean(axis=-1), 1)
         hue = np.abs(value - gain[..., None] * bare).max(axis=-1)
-        fits &= (gain > _DARKEST) & (gain < _BRIGHTEST) & (hue < _OTHER_HUE)
+        fits &= (gain > limits.darkest) & (gain < limits.brightest) & (hue < limits.other_hue)
         count = fits.sum(axis=0)
-        enough = (count >= _MIN_PHOTOS) & (count >= _CONTINUED_SHARE * there.sum(axis=0))
+        enough = (count >= limits.fewest_photos) & (
+            count >= limits.continued_share * there.sum(axis=0)
+        )
         mean = (value * fits[..., None]).sum(axis=0) / np.maximum(count, 1)[:, None]
         off = np.abs(value - mean).max(axis=-1)
         spread = (off * fits).sum(axis=0) / np.maximum(count, 1)
-        enough &= spread < _STEADY * max(usual, 1.0)
+        enough &= spread < limits.steady * max(usual, 1.0)
         rows, columns = rows[enough], columns[enough]
         if len(rows) == 0:
             return
@@ -235,7 +272,7 @@ def _continue(
 
 def is_table(model: TableModel) -> bool:
     """Whether most of what the photos show there is at rest, as it is not around a turntable."""
-    return bool(model.known.sum() > _AT_REST * model.seen.sum())
+    return bool(model.known.sum() > TableModelSettings.current().at_rest * model.seen.sum())
 
 
 def _agreed(
@@ -247,6 +284,7 @@ def _agreed(
     median is of no use beside an object: it hides those cells from most photos. The spread is 255
     where other photos agree as well on another colour.
     """
+    limits = TableModelSettings.current()
     photos, count = samples.shape[:2]
     color = np.zeros((count, 3), np.float32)
     spread = np.full(count, 255, np.float32)
@@ -258,16 +296,18 @@ def _agreed(
         order = grey.argsort(axis=0)
         grey = np.take_along_axis(grey, order, axis=0)
         n = seen[:, part].sum(axis=0)
-        first, last, width = _narrowest(grey, n, _AGREE, np.ones(grey.shape, bool))
-        start, end, third = _narrowest(grey, n, _AGREE_BESIDE, np.ones(grey.shape, bool))
-        take = third * _BETTER / _AGREE_BESIDE < width / _AGREE
+        first, last, width = _narrowest(grey, n, limits.agree, np.ones(grey.shape, bool))
+        start, end, third = _narrowest(grey, n, limits.agree_beside, np.ones(grey.shape, bool))
+        take = third * limits.better / limits.agree_beside < width / limits.agree
         first, last = np.where(take, start, first), np.where(take, end, last)
         width = np.where(take, third, width)
         used = (rank >= first) & (rank < last)
-        start, end, other = _narrowest(grey, n, _AGREE_ELSE, ~used)
+        start, end, other = _narrowest(grey, n, limits.agree_else, ~used)
         ours, theirs = (np.take_along_axis(grey, i[None], axis=0)[0] for i in (first, start))
         with np.errstate(invalid="ignore"):
-            doubtful = (other < 2 * width + _CLOSE) & (np.abs(ours - theirs) > _CONTINUED)
+            doubtful = (other < 2 * width + limits.close) & (
+                np.abs(ours - theirs) > limits.continued
+            )
         value = np.take_along_axis(value, order[..., None], axis=0) * used[..., None]
         total = np.maximum(used.sum(axis=0), 1)[:, None]
         mean = value.sum(axis=0) / total

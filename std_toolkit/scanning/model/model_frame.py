@@ -7,6 +7,7 @@ them is along the axes, its longer side along x.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.io.documents import write_document
 from std_toolkit.scanning.photos.views import Array
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     from std_toolkit.geometry.symmetry_search import DetectedSymmetry
@@ -27,9 +29,16 @@ SYMMETRY_FILE = "symmetry.json"
 
 # Heights, in parts of the whole, between which a handle joins the body.
 _BODY = (0.2, 0.8)
-# The handle is what is farther from the axis than this many radii of the body.
-_HANDLE = 1.15
-_LEAST_HANDLE = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandleSettings(Settings):
+    """When a vessel has a handle."""
+
+    handle: float = limit(1.15, source=NOT_RECORDED)
+    """the handle is what is farther from the axis than this many radii of the body"""
+    smallest_handle: float = limit(0.02, source=NOT_RECORDED)
+    """smallest share of the surface of a handle"""
 
 
 def model_frame(vertices: Array, faces: NDArray[np.int64], category: str = "other") -> SE3:
@@ -64,6 +73,7 @@ def _box_angle(vertices: Array) -> float:
 
 def _handle_angle(vertices: Array, faces: NDArray[np.int64]) -> float | None:
     """Direction of what stands out from a round body; None if nothing does."""
+    limits = HandleSettings.current()
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -85,8 +95,8 @@ def _handle_angle(vertices: Array, faces: NDArray[np.int64]) -> float | None:
         off = np.linalg.norm(xy - centre, axis=1) - radius
         body = np.abs(off) <= np.percentile(np.abs(off), 80)
     away = xy - centre
-    out = np.linalg.norm(away, axis=1) > _HANDLE * radius
-    if out.mean() < _LEAST_HANDLE:
+    out = np.linalg.norm(away, axis=1) > limits.handle * radius
+    if out.mean() < limits.smallest_handle:
         return None
     middle = away[out].mean(axis=0)
     if np.linalg.norm(middle) < 0.5 * radius:

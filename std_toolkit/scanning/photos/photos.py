@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, undistort_image
+from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color, write_color
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
@@ -19,12 +20,19 @@ from std_toolkit.poses.features import FrameMeasure, measure_image
 from std_toolkit.scanning.photos.video import PHOTOS, spread
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.scene import Frame, Scene
-from std_toolkit.scene.document import digest_file
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-MIN_PHOTOS = 8
-_USUAL_PHOTOS = 24
-# Photos whose sharpness is below this share of the median of all are left out.
-_BLURRED = 0.2
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoSettings(Settings):
+    """Photos that a scan uses."""
+
+    fewest_photos: int = limit(8, source=NOT_RECORDED)
+    """a scan needs at least this many photos"""
+    usual_photos: int = limit(24, source=NOT_RECORDED)
+    """fewer photos bring a warning"""
+    blurred: float = limit(0.2, source=NOT_RECORDED)
+    """photos whose sharpness is below this share of the median are left out"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,13 +158,14 @@ def scene_photos(root: Path, work: Path, *, longest: int) -> Photos:
 
 def photos_of(paths: Sequence[Path], folder: Path, work: Path, *, longest: int) -> Photos:
     """Photos, large ones reduced; arguments and errors as of `find_photos`."""
-    if len(paths) < MIN_PHOTOS:
+    limits = PhotoSettings.current()
+    if len(paths) < limits.fewest_photos:
         raise ToolkitError(
-            f"{len(paths)} photos are too few, at least {MIN_PHOTOS} are needed",
+            f"{len(paths)} photos are too few, at least {limits.fewest_photos} are needed",
             path=folder,
             hint="walk around the object and take 40 to 60 photos from two heights",
         )
-    if len(paths) < _USUAL_PHOTOS:
+    if len(paths) < limits.usual_photos:
         logger.warning(
             "%d photos: surfaces that only one or two of them show will be guessed; 40 to 60 are "
             "usual", len(paths),
@@ -191,6 +200,7 @@ def blurred_photos(paths: Sequence[Path]) -> list[int]:
     Raises:
         ToolkitError: most photos are blurred.
     """
+    limits = PhotoSettings.current()
     values = []
     for path in paths:
         grey = cv2.cvtColor(read_color(path), cv2.COLOR_RGB2GRAY)
@@ -203,8 +213,8 @@ def blurred_photos(paths: Sequence[Path]) -> list[int]:
         values.append(float(fine / (coarse + 1e-6)))
     sharpness = np.array(values)
     usual = float(np.percentile(sharpness, 75))
-    bad = np.flatnonzero(sharpness < _BLURRED * usual).tolist()
-    if len(paths) - len(bad) < MIN_PHOTOS:
+    bad = np.flatnonzero(sharpness < limits.blurred * usual).tolist()
+    if len(paths) - len(bad) < limits.fewest_photos:
         raise ToolkitError(
             f"{len(bad)} of {len(paths)} photos are blurred",
             hint="hold the camera still, add light, and photograph again: "
@@ -231,7 +241,9 @@ def known_views(photos: Photos, options: KnownCameras, intrinsics: str | None) -
         found = given if given is not None else lens
         if found is not None:
             whole = image_size(photos.paths[i])
-            camera = Camera(*whole, found.fx, found.fy, found.cx, found.cy, found.distortion)
+            camera = replace(found, size=None).camera(
+                whole, path=str(options.cameras), off_centre=True
+            )
         elif photos.sensor is not None:
             camera = photos.sensor.camera(photos.size)
         else:

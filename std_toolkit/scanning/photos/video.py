@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import digest_file, write_document
 from std_toolkit.io.images import write_color
+from std_toolkit.jobs.artefact import Artefact, Record
 from std_toolkit.log import logger
 from std_toolkit.poses.features import FrameMeasure, choose_keyframes, measure_image
-from std_toolkit.scene.document import digest_file, digest_of
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm")
 # Photos that a video is sampled into, and the smallest number that still helps.
@@ -43,10 +44,11 @@ def sample_video(path: Path, work: Path, *, count: int = PHOTOS) -> Path:
     Raises:
         ToolkitError: the video cannot be read.
     """
-    key = digest_of(digest_file(path), count, "video 1")
     folder = work / "video"
+    video = {"video": digest_file(path)}
+    artefact = Artefact(folder, "frames of the video", video, {"count": count, "format": 1})
     done = folder / "frames.json"
-    if done.is_file() and read_document(done, dict[str, Any]).get("digest") == key:
+    if artefact.find(done, Record, logging.INFO) is not None:
         return folder
     step = max(1, -(-_length(path) // _MEASURED))
     measures: list[FrameMeasure] = []
@@ -68,7 +70,7 @@ def sample_video(path: Path, work: Path, *, count: int = PHOTOS) -> Path:
         if number in chosen:
             rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
             write_color(folder / f"{number:06d}.png", np.asarray(rgb, np.uint8))
-    write_document(done, {"digest": key, "video": path.name, "frames": sorted(chosen)})
+    write_document(done, artefact.record(folder.glob("*.png")))
     logger.info("%s: %d of %d frames are used", path.name, len(chosen), numbers[-1] + 1)
     return folder
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -10,9 +11,15 @@ from numpy.typing import NDArray
 
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.settings import Settings, limit
 
-# Photos that look at a surface from more aside show it too compressed.
-_FLATTEST = 0.2
+
+@dataclass(frozen=True, kw_only=True)
+class VisibilitySettings(Settings):
+    """When a photo shows a place of a surface."""
+
+    flattest: float = limit(0.2, source="photos from more aside show a surface too compressed")
+    """smallest cosine between the normal and the ray"""
 
 
 def hull_depth(
@@ -28,8 +35,7 @@ def hull_depth(
     """
     x0, y0, x1, y1 = window
     u, v = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
-    c = view.camera
-    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
+    local = view.camera.unproject(np.stack([u, v], axis=-1))
     rays = np.empty((*u.shape, 6), np.float32)
     rays[..., :3] = view.centre - offset
     rays[..., 3:] = local @ view.T_world_cam.R.T
@@ -53,13 +59,16 @@ def seen_from(
     view: View, places: Array, normals: Array, depth: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Colours (N, 3) of places in a photo and weights (N,), 0 where it does not show them."""
+    limits = VisibilitySettings.current()
     uv, z = view.project(places)
     h, w = view.image.shape[:2]
     uv = np.where(np.isfinite(uv), uv, -10)
     ray = places - view.centre
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     facing = -(ray * normals).sum(axis=1)
-    ok = (facing > _FLATTEST) & (uv >= 1).all(axis=1) & (uv < np.array([w, h]) - 2).all(axis=1)
+    ok = (
+        (facing > limits.flattest) & (uv >= 1).all(axis=1) & (uv < np.array([w, h]) - 2).all(axis=1)
+    )
     weight = np.zeros(len(places))
     color = np.zeros((len(places), 3))
     if not ok.any():

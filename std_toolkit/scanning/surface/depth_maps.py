@@ -15,11 +15,20 @@ from std_toolkit.plugins import Registry
 from std_toolkit.scanning.photos.views import Array, View, in_threads
 from std_toolkit.scanning.photos.visibility import hull_depth
 from std_toolkit.scanning.surface.patch_match import Map, match
+from std_toolkit.settings import Settings, limit
 
 # Angles between viewing directions: below, depth is uncertain; above, windows look different.
 _BEST_ANGLE_DEG = 15.0
-_LARGEST_ANGLE_DEG = 45.0
-_SMALLEST_ANGLE_DEG = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeighbourSettings(Settings):
+    """Photos that are compared for depth."""
+
+    largest_angle_deg: float = limit(45.0, unit="deg", source="above, windows look different")
+    """largest angle between viewing directions"""
+    smallest_angle_deg: float = limit(4.0, unit="deg", source="below, depth is uncertain")
+    """smallest angle between viewing directions"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +80,7 @@ def choose_neighbours(views: Sequence[View], target: Array, count: int) -> list[
         target: (3,) centre of the object.
         count: largest number of neighbours.
     """
+    limits = NeighbourSettings.current()
     rays = np.stack([v.centre - target for v in views])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1)))
@@ -81,9 +91,9 @@ def choose_neighbours(views: Sequence[View], target: Array, count: int) -> list[
         order = [int(j) for j in np.argsort(score) if j != i]
         chosen: list[int] = []
         for j in order:
-            if not _SMALLEST_ANGLE_DEG <= angle[i, j] <= _LARGEST_ANGLE_DEG:
+            if not limits.smallest_angle_deg <= angle[i, j] <= limits.largest_angle_deg:
                 continue
-            if any(angle[j, k] < _SMALLEST_ANGLE_DEG for k in chosen):
+            if any(angle[j, k] < limits.smallest_angle_deg for k in chosen):
                 continue
             chosen.append(j)
             if len(chosen) == count:

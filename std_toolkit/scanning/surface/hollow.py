@@ -6,12 +6,15 @@ steeper than the photos look. With the thickness of the wall, the inside follows
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from std_toolkit.scanning.masks.hull import column_tops
 from std_toolkit.scanning.photos.views import Grid, Mask, View
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Slope of a surface that may be the cone above the rim, beyond that of the flattest look.
 _MARGIN = 1.25
@@ -19,8 +22,14 @@ _MARGIN = 1.25
 _SMOOTH, _STAIRS = 2.0, 0.1
 # Width of a handle across, as a share of the opening's radius: below twice this.
 _HANDLE = 0.3
-# Smallest opening, as a share of the area that the object covers from above.
-_SMALLEST = 0.08
+
+
+@dataclass(frozen=True, kw_only=True)
+class HollowSettings(Settings):
+    """What is the opening of a vessel."""
+
+    smallest: float = limit(0.08, source=NOT_RECORDED)
+    """smallest opening, as a share of the area that the object covers from above"""
 
 
 def hollowed(
@@ -96,7 +105,7 @@ def _opening(inside: Mask, slope: float) -> Mask:
     areas[0] = 0
     # The rim is above a handle, and above the foot of a bowl.
     heights = ndimage.maximum(smooth, labels, np.arange(count + 1))
-    large = areas >= _SMALLEST * covers.sum()
+    large = areas >= HollowSettings.current().smallest * covers.sum()
     if not large.any():
         return np.zeros_like(flat)
     chosen = int(np.argmax(np.where(large, heights, -1)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,29 +17,39 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.io.documents import digest_of
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.scanning.masks.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks.masks import covered, volume_of_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
-from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface.depth_maps import DepthEngine, DepthMap
 from std_toolkit.scanning.surface.hollow import hollowed
 from std_toolkit.scanning.surface.photo_polish import fit_photos
 from std_toolkit.scanning.surface.plain_tops import levelled
 from std_toolkit.scanning.surface.polish import averaging, fit_outlines
-from std_toolkit.scanning.surface.sensor_depth import LARGEST_DEVIATION, depth_factor, sensor_maps
+from std_toolkit.scanning.surface.sensor_depth import ScanDepthSettings, depth_factor, sensor_maps
 from std_toolkit.scanning.surface.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.surface.underside import flatten_unseen
-from std_toolkit.scene.document import digest_of
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Depth below the hull that is searched, as a share of the longest side.
 _DEEPEST = 0.3
-# Photos, of so many, whose masks may lack any place; and those whose masks may lack a place that
-# depth maps show: of so many beyond the first. Of few photos, each carves what no other does.
-_LACKING, _DISPUTED, _FEW = 40, 6, 24
 # Voxels of the surface of one side to which the other is registered, as a share of all.
 _COARSE = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisputeSettings(Settings):
+    """Photos whose masks may lack a place."""
+
+    lacking: int = limit(40, source=NOT_RECORDED)
+    """of so many photos, one mask may lack any place"""
+    disputed: int = limit(6, source=NOT_RECORDED)
+    """of so many photos beyond `few`, one mask may lack a place that depth maps show"""
+    few: int = limit(24, source="of few photos, each carves what no other does")
+    """photos from which masks may be disputed"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +102,7 @@ def measure_side(
     posed: PosedPhotos,
     views: Sequence[View],
     engine: DepthEngine,
-    stages: Stages,
+    work: Path,
     threads: int,
     lap: Callable[[str], None],
 ) -> Side:
@@ -100,19 +111,18 @@ def measure_side(
     floors = [SE3.identity()] if posed.on_table else []
     hull, disputed = _hulls(views, grid, floors, threads)
     lap("hull")
-    key = digest_of(
-        posed.digest, _mask_digest(views), options.voxels, options.neighbours, options.depth,
-        "depth 2",
-    )  # fmt: skip
+    values = {name: getattr(options, name) for name in ("voxels", "neighbours", "depth")}
+    inputs = {"poses": posed.digest, "masks": _mask_digest(views)}
+    artefact = Artefact(work, "depth", inputs, values | {"format": 2})
     looked = views if disputed is hull else _with_disputed(views, disputed, grid, threads)
-    maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, stages, key, threads)
+    maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, artefact, threads)
     sensor = _sensor(posed, views, hull, grid, threads)
     lap("depth maps")
     return Side(
         # The images of depth are large, and no longer needed.
         views=[replace(v, sensor=None) for v in views],
-        maps=maps, grid=grid, hull=hull, disputed=disputed, on_table=posed.on_table, digest=key,
-        sensor=sensor,
+        maps=maps, grid=grid, hull=hull, disputed=disputed, on_table=posed.on_table,
+        digest=artefact.digest, sensor=sensor,
     )  # fmt: skip
 
 
@@ -128,7 +138,7 @@ def _sensor(
         factor = 1.0
     elif posed.on_table:
         posed.facts["sensor depth"] = f"times {factor:.4f}, by the board"
-    if abs(factor - 1) > LARGEST_DEVIATION:
+    if abs(factor - 1) > ScanDepthSettings.current().largest_deviation:
         posed.warnings.append(
             f"the sensor's depth is left out: the board is at {factor:.2f} times what it measured. "
             "Is its unit right, and is it aligned to the colour images?"
@@ -237,8 +247,9 @@ def _hulls(
 
     Masks lack texture of the colour of the table behind it. The depth maps decide in between.
     """
-    few = len(views) // _LACKING
-    many = max(few, (len(views) - _FEW) // _DISPUTED)
+    limits = DisputeSettings.current()
+    few = len(views) // limits.lacking
+    many = max(few, (len(views) - limits.few) // limits.disputed)
     if any(v.hidden is not None for v in views):
         # Among other things, too, few photos show a side.
         many = few
@@ -278,8 +289,7 @@ def _depth(
     grid: Grid,
     longest: float,
     neighbours: int,
-    stages: Stages,
-    key: str,
+    artefact: Artefact,
     threads: int,
 ) -> list[DepthMap | None]:
     surface = surface_of(hull, grid)
@@ -296,7 +306,7 @@ def _depth(
                     out[f"{name}{i}"] = getattr(m, name)
         return out
 
-    a = stages.arrays("depth", key, make)
+    a = artefact.arrays(make)
     return [
         DepthMap(
             int(a[f"at{i}"][0]), int(a[f"at{i}"][1]), a[f"depth{i}"], a[f"normal{i}"],

@@ -8,6 +8,7 @@ Furukawa and Ponce, PAMI 2010), if this place is distinct.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,20 +20,30 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import Array, View
 from std_toolkit.scanning.photos.visibility import depth_of, seen_from, vertex_normals
 from std_toolkit.scanning.surface.polish import above_floors
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Displacements to either side of a vertex.
 _STEPS = 4
 # Points along a side of a patch, one pixel apart in the nearest photo.
 _SIDE = 9
 _PHOTOS = 5
-# Cosine of the angle between the rays of two photos, at least 8 degrees.
-_LEAST_APART = 0.99
 # Mean correlation of pairs of photos, and how much lower it is at the ends of the search: from
 # where on it counts, and where it counts fully.
-_LEAST_CORRELATION = 0.6
-_LEAST_DROP, _CLEAR_DROP = 0.02, 0.1
+_CLEAR_DROP = 0.1
 # Standard deviation of grey values, below which a patch is plain.
 _LEAST_CONTRAST = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoPolishSettings(Settings):
+    """When photos agree on the place of a vertex."""
+
+    least_apart: float = limit(0.99, source="at least 8 degrees")
+    """largest cosine of the angle between the rays of two photos"""
+    correlation: float = limit(0.6, source=NOT_RECORDED)
+    """smallest mean correlation of pairs of photos"""
+    drop: float = limit(0.02, source=NOT_RECORDED)
+    """smallest drop of the correlation towards the ends of the search"""
 
 
 def fit_photos(
@@ -83,6 +94,7 @@ def _best_photos(
 ) -> tuple[NDArray[np.int64], Array]:
     """Up to 5 photos (V, 5) that see each vertex best, the best first, -1 for none; and the size
     of a pixel of the first at the vertex (V,), metres."""
+    limits = PhotoPolishSettings.current()
     caster = RayCaster(vertices, faces)
     weight = np.stack([seen_from(v, vertices, normals, depth_of(v, caster))[1] for v in views])
     rays = np.stack([vertices - v.centre for v in views])
@@ -94,12 +106,13 @@ def _best_photos(
         best = weight.argmax(axis=0)
         chosen[:, k] = np.where(weight[best, rows] > 0, best, -1)
         # Photos from nearly the same place agree on any depth.
-        weight[(rays * rays[best, rows]).sum(axis=2) > _LEAST_APART] = 0
+        weight[(rays * rays[best, rows]).sum(axis=2) > limits.least_apart] = 0
     return chosen, np.where(chosen[:, 0] >= 0, sizes[chosen[:, 0], rows], 0.0)
 
 
 def _best(scores: Array, steps: Array) -> tuple[Array, Array]:
     """The displacement of the best correlation (V,), and its weight, 0 where it is not distinct."""
+    limits = PhotoPolishSettings.current()
     best = scores.argmax(axis=1)
     rows = np.arange(len(scores))
     inner = np.clip(best, 1, len(steps) - 2)
@@ -109,7 +122,7 @@ def _best(scores: Array, steps: Array) -> tuple[Array, Array]:
         shift = np.where(curve < 0, 0.5 * (below - above) / curve, 0.0)
     move = steps[inner] + np.clip(shift, -0.5, 0.5) * (steps[1] - steps[0])
     drop = peak - np.maximum(scores[:, 0], scores[:, -1])
-    good = (best == inner) & (peak > _LEAST_CORRELATION) & (drop > _LEAST_DROP)
+    good = (best == inner) & (peak > limits.correlation) & (drop > limits.drop)
     weight = peak * np.minimum(drop / _CLEAR_DROP, 1)
     return np.where(good, move, 0.0), np.where(good, weight, 0.0)
 

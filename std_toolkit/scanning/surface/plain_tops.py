@@ -8,6 +8,7 @@ between the parts around it that are measured, unless an outline shows that the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +20,26 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.hull import column_tops, surface_of
 from std_toolkit.scanning.masks.masks import covered, eroded
 from std_toolkit.scanning.photos.views import Grid, Mask, View, in_threads
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Weight of the depth measurements of a surface that is sure, and voxels of the change beside it.
-_SURE, _EDGE = 4.0, 3
-# Share of the columns around a top that must be sure.
-_ENCLOSED = 0.95
-# Smallest top, as a share of the area that the object covers from above.
-_SMALLEST = 0.005
+_EDGE = 3
 # Photos that judge a lower top, and share of its pixels that outlines may lose by it.
-_PHOTOS, _LOST = 16, 0.02
+_PHOTOS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlainTopSettings(Settings):
+    """Which plain tops are level with what surrounds them."""
+
+    sure: float = limit(4.0, source=NOT_RECORDED)
+    """weight of the depth measurements of a surface that is sure"""
+    enclosed: float = limit(0.95, source=NOT_RECORDED)
+    """share of the columns around a top that must be sure"""
+    smallest: float = limit(0.005, source=NOT_RECORDED)
+    """smallest top, as a share of the area that the object covers from above"""
+    lost: float = limit(0.02, source=NOT_RECORDED)
+    """share of its pixels that outlines may lose by a lower top"""
 
 
 def levelled(
@@ -50,18 +62,19 @@ def levelled(
     Returns:
         The field, lower where no outline contradicts.
     """
+    limits = PlainTopSettings.current()
     top, sure = _tops(field, support)
     covers = top >= 0
     labels, count = ndimage.label(covers & ~sure)
     areas = np.bincount(labels.ravel(), minlength=count + 1)
     height = np.arange(field.shape[0], dtype=np.float32)[:, None, None]
     for n in range(1, count + 1):
-        if areas[n] < _SMALLEST * covers.sum():
+        if areas[n] < limits.smallest * covers.sum():
             continue
         # Depth that is only just sure, at the edge, still bulges towards the hull.
         region = ndimage.binary_dilation(labels == n, iterations=_EDGE, mask=covers)
         around = ndimage.binary_dilation(region) & ~region
-        if (sure & covers)[around].mean() < _ENCLOSED:
+        if (sure & covers)[around].mean() < limits.enclosed:
             continue
         level = np.where(region, np.minimum(top, _spanned(top, region)), np.inf)
         above = ((height - level) * grid.step).astype(np.float32)
@@ -75,6 +88,7 @@ def _tops(
     field: NDArray[np.float32], support: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], Mask]:
     """(h, w) height of the surface in voxels, -1 for none, and where it is measured."""
+    limits = PlainTopSettings.current()
     depth = len(field)
     index, covers = column_tops(field < 0)
     upper = np.minimum(index + 1, depth - 1)
@@ -88,7 +102,7 @@ def _tops(
         ],
         axis=0,
     )
-    return np.where(covers, top, -1).astype(np.float32), covers & (weight >= _SURE)
+    return np.where(covers, top, -1).astype(np.float32), covers & (weight >= limits.sure)
 
 
 def _spanned(top: NDArray[np.float32], region: Mask) -> NDArray[np.float32]:
@@ -146,4 +160,4 @@ def _explained(
 
     chosen = views[:: max(1, len(views) // _PHOTOS)]
     counts = np.array(in_threads(one, chosen, threads=threads))
-    return bool(counts[:, 0].sum() <= _LOST * counts[:, 1].sum())
+    return bool(counts[:, 0].sum() <= PlainTopSettings.current().lost * counts[:, 1].sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,19 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.hull import outline_distance
 from std_toolkit.scanning.photos.views import Array, View, in_threads
 from std_toolkit.scanning.photos.visibility import hull_depth, vertex_normals
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# A vertex is on the rim if it projects this near to the outline of the mesh ...
-_RIM_PX = 1.0
-# ... and its normal is this nearly across the ray (sine).
-_ACROSS = 0.45
-# Outlines further away than this belong to something else.
-_FARTHEST_PX = 5.0
+
+@dataclass(frozen=True, kw_only=True)
+class RimSettings(Settings):
+    """Which vertices are on the rim of a photo."""
+
+    rim_px: float = limit(1.0, unit="px", source=NOT_RECORDED)
+    """a vertex on the rim projects this near to the outline of the mesh"""
+    across: float = limit(0.45, source=NOT_RECORDED)
+    """and its normal is this nearly across the ray (sine)"""
+    farthest_px: float = limit(5.0, unit="px", source=NOT_RECORDED)
+    """outlines further away belong to something else"""
 
 
 def fit_outlines(
@@ -86,6 +93,7 @@ def _moves(
     normals: Array,
 ) -> tuple[Array, Array]:
     """Sum of the wanted moves along the normal (V,), metres, and their weights (V,)."""
+    limits = RimSettings.current()
     whole = (0, 0, view.camera.width, view.camera.height)
     drawn = hull_depth(view, caster, np.zeros(3), whole)[0] > 0
     rim = outline_distance(drawn) / 32.0
@@ -100,7 +108,11 @@ def _moves(
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     across = np.abs((ray * normals[index]).sum(axis=1))
     off = wanted[y, x]
-    use = (np.abs(rim[y, x]) < _RIM_PX) & (across < _ACROSS) & (np.abs(off) < _FARTHEST_PX)
+    use = (
+        (np.abs(rim[y, x]) < limits.rim_px)
+        & (across < limits.across)
+        & (np.abs(off) < limits.farthest_px)
+    )
     use &= known[y, x]
     kept = index[use]
     # The mesh's own outline is not quite at its vertices.

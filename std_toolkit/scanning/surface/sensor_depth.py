@@ -8,6 +8,7 @@ is left out, as is what other photos contradict (`std_toolkit.scanning.surface.s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -16,25 +17,39 @@ from numpy.typing import NDArray
 from std_toolkit.geometry.camera import on_depth_step
 from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
 from std_toolkit.scanning.surface.depth_maps import DepthMap, object_window
-
-# Sensors are wrong in scale by 1 or 2 %; what deviates more has another fault.
-LARGEST_DEVIATION = 0.05
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # As a cost of matching: where photos match well, they count about three times as much.
 _COST = 0.3
 _CONTRAST = 3.0
 # Standard deviation of the smoothing before normals, pixels.
 _SMOOTH = 2.0
-# Points outside of the hull by more than this many voxels are not of the object.
-_OUTSIDE_VOXELS = 2.0
-# Below, the sensor may look through the object at the table, metres.
-_ABOVE_TABLE = 0.001
-# Sensors seen from more aside are wrong: cosine between normal and ray.
-_LEAST_FACING = 0.2
 # Pixels of the board that the factor needs, and the share of the image's width that is left out
 # around objects, where sensors smear depth.
-_BOARD_PIXELS = 2000
 _APART = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanDepthSettings(Settings):
+    """Sensor depth that a scan uses."""
+
+    largest_deviation: float = limit(
+        0.05,
+        source="sensors are wrong in scale by 1 or 2 %; what deviates more has another fault",
+    )
+    """largest deviation of the depth from the board"""
+    outside_voxels: float = limit(2.0, unit="voxels", source=NOT_RECORDED)
+    """points further outside of the hull are not of the object"""
+    above_table_m: float = limit(
+        0.001,
+        unit="m",
+        source="below, the sensor may look through the object at the table",
+    )
+    """smallest height above the table"""
+    facing: float = limit(0.2, source="sensors are wrong on surfaces seen from more aside")
+    """smallest cosine between normal and ray"""
+    board_pixels: int = limit(2000, source=NOT_RECORDED)
+    """pixels of the board that the factor needs"""
 
 
 def depth_factor(views: Sequence[View], corners: Array) -> float | None:
@@ -44,6 +59,7 @@ def depth_factor(views: Sequence[View], corners: Array) -> float | None:
         views: photos with masks and sensor depth, in the world of the board (table at z = 0).
         corners: (N, 3) of the board, metres.
     """
+    limits = ScanDepthSettings.current()
     outline = cv2.convexHull(corners[:, :2].astype(np.float32))[:, 0].astype(np.float64)
     outline = np.column_stack([outline, np.zeros(len(outline))])
     ratios = []
@@ -65,7 +81,7 @@ def depth_factor(views: Sequence[View], corners: Array) -> float | None:
         ratios.append(expected / view.sensor[v, u])
     found = np.concatenate(ratios) if ratios else np.zeros(0)
     found = found[np.isfinite(found) & (found > 0)]
-    return float(np.median(found)) if len(found) >= _BOARD_PIXELS else None
+    return float(np.median(found)) if len(found) >= limits.board_pixels else None
 
 
 def sensor_maps(
@@ -95,6 +111,7 @@ def sensor_maps(
 def _one(
     view: View, hull: NDArray[np.float32], grid: Grid, factor: float, *, on_table: bool
 ) -> DepthMap | None:
+    limits = ScanDepthSettings.current()
     window = object_window(view.shown, 2)
     if view.sensor is None or window is None:
         return None
@@ -108,9 +125,9 @@ def _one(
     points = view.T_world_cam @ view.camera.unproject(uv, depth[v, u].astype(np.float64))
     index = np.rint((points - np.asarray(grid.origin)) / grid.step).astype(np.int64)[:, ::-1]
     kept = ((index >= 0) & (index < grid.shape)).all(axis=1)
-    kept[kept] = hull[tuple(index[kept].T)] < _OUTSIDE_VOXELS * grid.step
+    kept[kept] = hull[tuple(index[kept].T)] < limits.outside_voxels * grid.step
     if on_table:
-        kept &= points[:, 2] > _ABOVE_TABLE
+        kept &= points[:, 2] > limits.above_table_m
     good[v[~kept], u[~kept]] = False
     if not good.any():
         return None
@@ -126,6 +143,7 @@ def _normals(
     view: View, depth: NDArray[np.float32], good: NDArray[np.bool_], corner: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Normals (h, w, 3) towards the camera, its frame, and where they are known."""
+    limits = ScanDepthSettings.current()
     known = good.astype(np.float32)
     share = cv2.GaussianBlur(known, (0, 0), _SMOOTH)
     mean = cv2.GaussianBlur(depth * known, (0, 0), _SMOOTH) / np.maximum(share, 1e-6)
@@ -138,4 +156,4 @@ def _normals(
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     facing = (normal * rays).sum(axis=-1) / np.linalg.norm(rays, axis=-1)
     normal[facing > 0] *= -1
-    return normal.astype(np.float32), (np.abs(facing) > _LEAST_FACING) & (share > 0.5)
+    return normal.astype(np.float32), (np.abs(facing) > limits.facing) & (share > 0.5)

@@ -18,15 +18,22 @@ from std_toolkit.log import logger
 from std_toolkit.scanning.masks.hull import largest_component, surface_of
 from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
 from std_toolkit.scanning.surface.depth_maps import DepthMap, choose_neighbours
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Larger costs (1 - correlation) are chance.
-_LARGEST_COST = 0.45
-# Two depth maps agree within this fraction of the depth.
-_AGREEMENT = 0.006
-# Weight of depth measurements from which they outvote the outlines of few photos.
-_SUPPORTED = 2.0
 # Weight of the hull against one depth measurement of weight 1.
 _HULL_WEIGHT = 0.15
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgreementSettings(Settings):
+    """Depths of the photos that agree."""
+
+    largest_cost: float = limit(0.45, source="larger ones are chance")
+    """largest cost (1 - correlation)"""
+    agreement: float = limit(0.006, source=NOT_RECORDED)
+    """two depth maps agree within this fraction of the depth"""
+    supported: float = limit(2.0, source=NOT_RECORDED)
+    """weight of depth measurements from which they outvote the outlines of few photos"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +65,7 @@ def agreeing(
         target: (3,) centre of the object.
         threads: number of threads.
     """
+    limits = AgreementSettings.current()
     chosen = choose_neighbours(views, target, 12)
 
     def one(place: tuple[int, int]) -> NDArray[np.float32]:
@@ -67,7 +75,7 @@ def agreeing(
             return np.zeros((0, 0), np.float32)
         view = views[i]
         h, w = m.depth.shape
-        v, u = np.nonzero((m.depth > 0) & (m.cost < _LARGEST_COST))
+        v, u = np.nonzero((m.depth > 0) & (m.cost < limits.largest_cost))
         d = m.depth[v, u].astype(np.float64)
         uv = np.stack([u + m.x, v + m.y], axis=1).astype(np.float64)
         points = view.T_world_cam @ view.camera.unproject(uv, d)
@@ -82,7 +90,7 @@ def agreeing(
         rays = view.camera.unproject(uv)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         facing = np.abs((m.normal[v, u] * rays).sum(axis=1))
-        certain = np.clip(1 - m.cost[v, u] / _LARGEST_COST, 0, 1) * np.clip(
+        certain = np.clip(1 - m.cost[v, u] / limits.largest_cost, 0, 1) * np.clip(
             m.contrast[v, u] / 3.0, 0, 1
         )
         weight = np.zeros((h, w), np.float32)
@@ -95,13 +103,14 @@ def agreeing(
 
 def _agree(m: DepthMap, p: Array, z: Array) -> NDArray[np.bool_]:
     """Which points (N,), at pixels p (N, 2) and depths z of a photo, its map confirms."""
+    limits = AgreementSettings.current()
     x = np.rint(p[:, 0]).astype(np.int64) - m.x
     y = np.rint(p[:, 1]).astype(np.int64) - m.y
     inside = (x >= 0) & (y >= 0) & (x < m.depth.shape[1]) & (y < m.depth.shape[0])
     x, y = np.where(inside, x, 0), np.where(inside, y, 0)
     there = m.depth[y, x].astype(np.float64)
-    sure = inside & (m.cost[y, x] < _LARGEST_COST) & (there > 0)
-    return np.asarray(sure & (np.abs(there - z) < _AGREEMENT * z))
+    sure = inside & (m.cost[y, x] < limits.largest_cost) & (there > 0)
+    return np.asarray(sure & (np.abs(there - z) < limits.agreement * z))
 
 
 def fuse(
@@ -159,7 +168,7 @@ def fuse(
     # Smoothed with its weight: noise of single maps goes, edges of two voxels stay.
     for_total = gaussian_filter(total + _HULL_WEIGHT * prior, 0.8)
     for_weight = gaussian_filter(support + np.float32(_HULL_WEIGHT), 0.8)
-    trust = np.clip((for_weight - _HULL_WEIGHT) / _SUPPORTED, 0, 1)
+    trust = np.clip((for_weight - _HULL_WEIGHT) / AgreementSettings.current().supported, 0, 1)
     bound = (1 - trust) * prior + trust * np.clip(disputed, -band, band)
     field = np.maximum(for_total / for_weight, bound)
     return Fusion(field.astype(np.float32), support)

@@ -26,25 +26,42 @@ from std_toolkit.scanning.photos.views import Array, View
 from std_toolkit.scanning.surface.depth_maps import DepthMap
 from std_toolkit.scanning.surface.hull_coherence import HullCoherence
 from std_toolkit.scanning.surface.measured_surface import Side, Surface
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Largest distance of features that agree, and of surfaces that touch, as shares of the longest
-# side of the object.
-_AGREEMENT = 0.012
 # Places on the object, apart by this share of it, that a motion by features needs.
-_MIN_PLACES, _PLACE = 12, 0.02
 _FEATURES = 600
 # Turns that are looked at without texture, and the best of them that are fitted to the outlines.
 _TURNS, _FITTED = 1500, 12
-# Another turn explains the outlines, too, if its mean gap is at most this multiple of the lowest,
-# and this share of a voxel.
-_AS_WELL, _OF_A_VOXEL, _OTHER_TURN_DEG = 2.0, 0.05, 15.0
-# The same for motions by features: share of the places of the best that agree with another one.
-_AS_MANY = 0.8
-# Share of the outlines that the hull of both misses from which a motion is doubted, and from which
-# it is another object. Masks that lack a part of the object take some off a right motion, too.
-_DOUBTED, _MOST_MISSED = 0.05, 0.25
-# Share of its gaps at which a motion by shape is preferred to one by features.
-_CLEARLY = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurnSettings(Settings):
+    """Which motion joins two positions of an object."""
+
+    agreement: float = limit(0.012, source=NOT_RECORDED)
+    """largest distance of features that agree, and of surfaces that touch, as a share of the
+    longest side"""
+    fewest_places: int = limit(12, source=NOT_RECORDED)
+    """places on the object that a motion by features needs"""
+    place: float = limit(0.02, source=NOT_RECORDED)
+    """distance of such places, as a share of the longest side"""
+    as_well: float = limit(2.0, source=NOT_RECORDED)
+    """another turn explains the outlines, too, up to this multiple of the lowest mean gap"""
+    of_a_voxel: float = limit(0.05, unit="voxels", source=NOT_RECORDED)
+    """plus this"""
+    other_turn_deg: float = limit(15.0, unit="deg", source=NOT_RECORDED)
+    """turns that differ by more are different"""
+    as_many: float = limit(0.8, source=NOT_RECORDED)
+    """share of the places of the best motion by features that agree with another one"""
+    doubted: float = limit(
+        0.05,
+        source="masks that lack a part of the object take some off a right motion, too",
+    )
+    """share of the outlines that the hull of both misses from which a motion is doubted"""
+    most_missed: float = limit(0.25, source=NOT_RECORDED)
+    """the same from which it is another object"""
+    clearly: float = limit(0.5, source=NOT_RECORDED)
+    """share of its gaps at which a motion by shape is preferred to one by features"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +91,7 @@ class Turn:
     @property
     def doubted(self) -> bool:
         """Whether more of the outlines disagree than with good masks."""
-        return self.missed > _DOUBTED
+        return self.missed > TurnSettings.current().doubted
 
     def facts(self) -> dict[str, Any]:
         """Name and value for the report."""
@@ -107,20 +124,21 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
     Raises:
         ToolkitError: no motion explains the second photos.
     """
+    limits = TurnSettings.current()
     longest = float(np.ptp(surface.vertices, axis=0).max())
-    near = _AGREEMENT * longest
+    near = limits.agreement * longest
     p, q = _pairs(_features(first), _features(second))
     by, agreeing, count, ambiguous, difference = "features", 0.0, len(p), False, None
     T = None
     inliers = np.zeros(len(p), bool)
-    if len(p) >= _MIN_PLACES:
+    if len(p) >= limits.fewest_places:
         try:
             found, inliers = ransac_similarity(
                 q, p, threshold_m=near, with_scale=False, max_iterations=20_000
             )
-            if _places(p[inliers], _PLACE * longest) >= _MIN_PLACES:
+            if _places(p[inliers], limits.place * longest) >= limits.fewest_places:
                 T = SE3(found.R, found.t)
-                ambiguous = _texture_repeats(T, p, q, inliers, near, _PLACE * longest)
+                ambiguous = _texture_repeats(T, p, q, inliers, near, limits.place * longest)
         except ToolkitError:
             pass  # No three pairs agree: the shape decides.
     caster = RayCaster(surface.vertices, surface.faces)
@@ -131,7 +149,7 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
         T = _refined(T, points, surface, caster, near, p[inliers], q[inliers])
         agreeing = float(inliers.mean())
         difference = float(np.degrees(rotation_angle(alone.R.T @ T.R)))
-    if T is None or _missed(coherence, T, near) > _DOUBTED:
+    if T is None or _missed(coherence, T, near) > limits.doubted:
         shaped, several = _by_shape(
             _sampled(other, measured=False), surface, coherence, first.grid.step
         )
@@ -139,14 +157,14 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
         refined = _refined(shaped, points, surface, caster, near, p[:0], q[:0])
         shaped = min(refined, shaped, key=coherence.mean_gap)
         # Specks that look alike may agree by chance, on both sides of the object.
-        if T is None or coherence.mean_gap(shaped) < _CLEARLY * coherence.mean_gap(T):
+        if T is None or coherence.mean_gap(shaped) < limits.clearly * coherence.mean_gap(T):
             T, ambiguous, by, difference = shaped, several, "shape", None
     off = _distances(T, points, surface, caster)
     residual = float(np.median(off)) if len(off) else float("nan")
     if by == "shape":
         agreeing, count = float((off < near).mean()) if len(off) else 0.0, len(off)
     missed = _missed(coherence, T, near)
-    if missed > _MOST_MISSED or (by == "features" and residual > near):
+    if missed > limits.most_missed or (by == "features" and residual > near):
         raise ToolkitError(
             f"no turn of the object of the first photos explains the second ({100 * missed:.0f} % "
             f"of the outlines disagree, surfaces differ by {1000 * residual:.1f} mm)",
@@ -163,8 +181,9 @@ def _texture_repeats(
     T: SE3, p: Array, q: Array, inliers: NDArray[np.bool_], near: float, apart: float
 ) -> bool:
     """Whether another turn explains nearly as many places, as where a texture is there twice."""
+    limits = TurnSettings.current()
     p_rest, q_rest = p[~inliers], q[~inliers]
-    if len(p_rest) < _MIN_PLACES:
+    if len(p_rest) < limits.fewest_places:
         return False
     try:
         found, others = ransac_similarity(
@@ -172,8 +191,8 @@ def _texture_repeats(
         )
     except ToolkitError:
         return False
-    enough = max(_MIN_PLACES, _AS_MANY * _places(p[inliers], apart))
-    turned = _apart(T, SE3(found.R, found.t)) > _OTHER_TURN_DEG
+    enough = max(limits.fewest_places, limits.as_many * _places(p[inliers], apart))
+    turned = _apart(T, SE3(found.R, found.t)) > limits.other_turn_deg
     return turned and _places(p_rest[others], apart) >= enough
 
 
@@ -299,19 +318,24 @@ def _by_shape(
     points: Array, surface: Surface, coherence: HullCoherence, voxel_m: float
 ) -> tuple[SE3, bool]:
     """The motion with the least gaps, of many turns, and whether another turn has as few."""
+    limits = TurnSettings.current()
     middle = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     turns = Rotation.random(_TURNS, random_state=0).as_matrix().astype(np.float64)
     motions = [SE3(R, middle - R @ centre) for R in turns]
     tried: list[SE3] = []
     for T in sorted(motions, key=coherence.mean_gap):
-        if len(tried) < _FITTED and all(_apart(T, U) > _OTHER_TURN_DEG for U in tried):
+        if len(tried) < _FITTED and all(_apart(T, U) > limits.other_turn_deg for U in tried):
             tried.append(T)
     fitted = [coherence.fitted(T) for T in tried]
     gaps = [coherence.mean_gap(T) for T in fitted]
-    T, limit = fitted[int(np.argmin(gaps))], _AS_WELL * min(gaps) + _OF_A_VOXEL * voxel_m
+    T, limit = (
+        fitted[int(np.argmin(gaps))],
+        limits.as_well * min(gaps) + limits.of_a_voxel * voxel_m,
+    )
     ambiguous = any(
-        gap < limit and _apart(T, U) > _OTHER_TURN_DEG for gap, U in zip(gaps, fitted, strict=True)
+        gap < limit and _apart(T, U) > limits.other_turn_deg
+        for gap, U in zip(gaps, fitted, strict=True)
     )
     return T, ambiguous
 

@@ -7,6 +7,7 @@ plane, the part is a face of the object that nobody saw, and is closed by that p
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +16,28 @@ from scipy.sparse.csgraph import connected_components
 
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Smallest unseen part that is flattened, as a share of the surface.
-_SMALLEST = 0.03
-# Largest deviation of its rim from a plane, as a share of the longest side of the object.
-_PLANE = 0.012
-# Share of the rim that must be in the plane; hidden hollows above it may have rims, too.
-_MIN_RIM = 0.35
-# Sine of the angle below which a face counts as not seen.
-_GRAZING = 0.25
+
+@dataclass(frozen=True, kw_only=True)
+class UndersideSettings(Settings):
+    """Which unseen parts are flattened."""
+
+    smallest: float = limit(0.03, source=NOT_RECORDED)
+    """smallest unseen part, as a share of the surface"""
+    plane: float = limit(0.012, source=NOT_RECORDED)
+    """largest deviation of its rim from a plane, as a share of the longest side"""
+    rim: float = limit(0.35, source="hidden hollows above it may have rims, too")
+    """share of the rim that must be in the plane"""
+    grazing: float = limit(0.25, source=NOT_RECORDED)
+    """sine of the angle below which a face counts as not seen"""
 
 
 def seen_faces(
     vertices: Array, faces: NDArray[np.int64], views: Sequence[View]
 ) -> NDArray[np.bool_]:
     """(F,) whether any photo shows the middle of a face."""
+    limits = UndersideSettings.current()
     corners = vertices[faces]
     middle = corners.mean(axis=1)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -40,7 +48,7 @@ def seen_faces(
         ray = middle - view.centre
         away = np.linalg.norm(ray, axis=1)
         ray /= away[:, None]
-        index = np.flatnonzero(~seen & (-(ray * normal).sum(axis=1) > _GRAZING))
+        index = np.flatnonzero(~seen & (-(ray * normal).sum(axis=1) > limits.grazing))
         if len(index) == 0:
             continue
         rays = np.concatenate([np.broadcast_to(view.centre, (len(index), 3)), ray[index]], axis=1)
@@ -62,12 +70,13 @@ def flatten_unseen(
     Returns:
         Moved vertices, and the share of the surface that was flattened, 0 for none.
     """
+    limits = UndersideSettings.current()
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
     part = _largest_part(faces, ~seen_faces(vertices, faces, views), area)
     share = float(area[part].sum() / area.sum())
-    if share < _SMALLEST:
+    if share < limits.smallest:
         return vertices, 0.0
     inner = np.unique(faces[part])
     rim = np.intersect1d(inner, np.unique(faces[~part]))
@@ -75,14 +84,14 @@ def flatten_unseen(
         return vertices, 0.0
     points = vertices[rim]
     longest = float(np.ptp(vertices, axis=0).max())
-    middle, normal, inliers = _rim_plane(points, _PLANE * longest)
-    if inliers < _MIN_RIM:
+    middle, normal, inliers = _rim_plane(points, limits.plane * longest)
+    if inliers < limits.rim:
         return vertices, 0.0
     if normal @ cross[part].sum(axis=0) < 0:
         normal = -normal
     # Voxels round the edge off: the outermost of the rim is nearest to it.
     off = (points - middle) @ normal
-    middle = middle + np.percentile(off[np.abs(off) < _PLANE * longest], 90) * normal
+    middle = middle + np.percentile(off[np.abs(off) < limits.plane * longest], 90) * normal
     height = (vertices - middle) @ normal
     below = (height[faces] > 0).all(axis=1)
     # All of the object is on one side of the plane that it stands on.

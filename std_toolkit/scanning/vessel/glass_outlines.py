@@ -8,6 +8,7 @@ profile. What points into the vessel, such as its inner wall, has differences ou
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
@@ -24,26 +25,38 @@ from std_toolkit.scanning.photos.views import Array, Mask, View, in_threads
 from std_toolkit.scanning.vessel.glass_profile import outline_evidence, rough_profile
 from std_toolkit.scanning.vessel.revolve import fit_outline_points
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Pixels to both sides of the outline that are searched, in each round.
 _REACH = (6.0, 2.5)
 _RIM_PX = 4.0
 _BESIDE_PX = 4
-# Share of an added piece of outline that must show for a higher rim.
-_SHOWN = 0.35
 # Steps of a pixel along the search, and points along the outline that are averaged.
 _STEP, _TOGETHER = 0.5, 5
-# Least difference of the inside from the outside of an outline point, in widths of the table.
-_LEAST = 0.25
 # Evidence of a rough profile below which nothing is found, and share of the outline that must show.
-_FAINT, _FEWEST = 0.15, 0.35
-_MOST_OUTSIDE = 0.35
 # Height of a vessel and its radius, in sizes of the board.
 _TALLEST, _WIDEST = 1.3, 0.42
 _HINT = (
     "stand it upright; spray it matt and scan it without --revolve, or give outlines of your own "
     "with --masks; a patterned board behind the glass and light without highlights help"
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlassOutlineSettings(Settings):
+    """When a clear vessel is found."""
+
+    shown: float = limit(0.35, source=NOT_RECORDED)
+    """share of an added piece of outline that must show for a higher rim"""
+    least: float = limit(0.25, source=NOT_RECORDED)
+    """least difference of the inside from the outside of an outline point, in widths of the
+    table"""
+    faint: float = limit(0.15, source=NOT_RECORDED)
+    """smallest evidence of a rough profile"""
+    fewest: float = limit(0.35, source=NOT_RECORDED)
+    """share of the outline that must show"""
+    most_outside: float = limit(0.35, source=NOT_RECORDED)
+    """largest share of the outline that the fit leaves out"""
 
 
 def find_vessel(
@@ -83,13 +96,14 @@ def fit_vessel(
     Raises:
         ToolkitError: as `find_vessel`.
     """
+    limits = GlassOutlineSettings.current()
     size = float(np.ptp(corners[:, :2], axis=0).max())
     tallest = min(float(np.percentile([v.centre[2] for v in views], 75)), _TALLEST * size)
     centre = _middle(views, evidence, corners)
     rough = rough_profile(views, evidence, centre, tallest, _WIDEST * size)
     logger.info("outline: rough profile of %.0f mm, evidence %.2f", 1000 * rough.heights[-1],
                 rough.evidence)  # fmt: skip
-    if rough.evidence < _FAINT:
+    if rough.evidence < limits.faint:
         raise ToolkitError(
             f"the outline of an upright vessel is too faint: it differs from the bare table by "
             f"{rough.evidence:.2f} of the noise",
@@ -107,7 +121,7 @@ def fit_vessel(
             uv, share = _outline_points(mask, value, reach)
             points.append(uv)
             shown.append(share)
-        if float(np.mean(shown)) < _FEWEST:
+        if float(np.mean(shown)) < limits.fewest:
             raise ToolkitError(
                 f"{100 * float(np.mean(shown)):.0f} % of the outline of the vessel show in the "
                 "photos",
@@ -120,7 +134,7 @@ def fit_vessel(
         ]
         found = fit_outline_points(
             given, points, centre=centre, heights=heights, radii=radii, wall_m=wall_m,
-            most_outside=_MOST_OUTSIDE,
+            most_outside=limits.most_outside,
         )  # fmt: skip
         T = found.T_world_axis
         centre, heights, radii = T.t[:2], found.heights, found.radii
@@ -163,9 +177,10 @@ def _with_rim(
     height that adds most of an outline that shows in all photos, and leaves least that differs from
     the table outside, is taken.
     """
+    limits = GlassOutlineSettings.current()
     few = [(v, e) for v, e in zip(views, evidence, strict=True)][:: max(1, len(views) // 16)]
     strong = [
-        dilated(_outline_of(v, centre, heights, radii, None), _BESIDE_PX) & (e > 2 * _LEAST)
+        dilated(_outline_of(v, centre, heights, radii, None), _BESIDE_PX) & (e > 2 * limits.least)
         for v, e in few
     ]
     best, most = len(heights), -np.inf
@@ -181,7 +196,7 @@ def _with_rim(
                 outline = _outline_of(view, centre, heights[:top], radii[:top], None)
                 total -= 0.5 * float((different & ~dilated(outline, _BESIDE_PX)).sum())
                 uv, share = _outline_points(outline, value, _RIM_PX)
-                total += len(uv) * (1 - _SHOWN / max(share, 0.05))
+                total += len(uv) * (1 - limits.shown / max(share, 0.05))
             if total > most:
                 best, most = top, total
     return heights[:best], radii[:best]
@@ -245,7 +260,7 @@ def _outline_points(mask: Mask, evidence: NDArray[np.float32], reach: float) -> 
     score = mean(at, -3.0, 0.0) - mean(at, 0.5, 3.5) - mean(at, 3.5, 19.5)
     best = score.argmax(axis=1)
     rows = np.arange(len(line))
-    good = (score[rows, best] > _LEAST) & known[rows, at[best]]
+    good = (score[rows, best] > GlassOutlineSettings.current().least) & known[rows, at[best]]
     # Half of the peak within is where the image of the border lies.
     index = at[best]
     peak = np.max([value[rows, np.maximum(index - k, 0)] for k in range(7)], axis=0)

@@ -15,12 +15,20 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
 # Rays that are used, and samples along each.
 _MOST_RAYS, _SAMPLES = 4000, 97
-_FEWEST_VIEWS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineRaySettings(Settings):
+    """What a surface of revolution needs."""
+
+    fewest_views: int = limit(4, source=NOT_RECORDED)
+    """photos that show the outline"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +95,7 @@ def outline_rays(views: Sequence[OutlineView], points: Sequence[Array]) -> Outli
     Raises:
         ToolkitError: fewer than four photos show enough of the outline.
     """
+    limits = OutlineRaySettings.current()
     rng = np.random.default_rng(0)
     origins, directions, scales = [], [], []
     each = max(100, _MOST_RAYS // max(len(views), 1))
@@ -100,9 +109,10 @@ def outline_rays(views: Sequence[OutlineView], points: Sequence[Array]) -> Outli
         origins.append(np.broadcast_to(view.T_world_cam.t, d.shape))
         directions.append((d / length[:, None]) @ view.T_world_cam.R.T)
         scales.append(np.sqrt(view.camera.fx * view.camera.fy) / length)
-    if len(origins) < _FEWEST_VIEWS:
+    if len(origins) < limits.fewest_views:
         raise ToolkitError(
-            f"{len(origins)} photos show the outline of the object, {_FEWEST_VIEWS} are needed",
+            f"{len(origins)} photos show the outline of the object, "
+            f"{limits.fewest_views} are needed",
             hint="photograph it from all sides and from two heights",
         )
     origin, direction = np.concatenate(origins), np.concatenate(directions)

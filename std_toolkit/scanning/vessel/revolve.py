@@ -11,7 +11,7 @@ their outline is left out and its share reported.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from std_toolkit.scanning.vessel.outline_rays import (
 )
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scanning.vessel.rim_wall import wall_at_rim
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -37,14 +38,11 @@ _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS = 0.001, 40, 260
 # Steps of the fit between changes of its top.
 _ROUNDS = 6
 
-# A lower rim explains the outlines if no larger share of them gets farther than this, in
-# deviations and at least in pixels. The fit then finds the rim itself.
-_FAR, _FAR_PX, _EXPLAINED = 5.0, 2.0, 0.005
 
 # Residuals beyond this many deviations count less; those beyond the last are no outline of it.
 # Points that were searched for from within a vessel, whose inside differs from the table, too, are
 # rather within its outline than beside it.
-_HUBER, _HUBER_WITHIN, _OUTSIDE = 2.0, 0.5, 6.0
+_HUBER, _HUBER_WITHIN = 2.0, 0.5
 
 # The profile bends by this much over a step, as a deviation; corners are kept by a robust weight.
 _BEND_M = 1.5e-4
@@ -55,15 +53,32 @@ _AT_RIM = 3
 # Deviation of the axis from the vertical: the object stands on the table.
 _TILT_RAD = np.deg2rad(0.4)
 
-# Share of the outline that may be left out, and root mean square distance of the rest, before the
-# object is none of revolution.
-_LARGEST_OUTSIDE, _LARGEST_PX = 0.1, 3.0
 
 # Height of the cone above the rim, its slope in parts of that of the rays, and rays over the rim.
-_CONE_M, _CONE, _FEWEST_OVER = 0.003, 0.6, 20
+_CONE_M, _CONE = 0.003, 0.6
 
 # A wall that no photo shows is taken as this.
 _GUESSED_WALL_M = 0.0025
+
+
+@dataclass(frozen=True, kw_only=True)
+class RevolveSettings(Settings):
+    """When an object is one of revolution."""
+
+    far: float = limit(5.0, unit="deviations", source=NOT_RECORDED)
+    """rays that a lower rim leaves further away are not explained"""
+    far_px: float = limit(2.0, unit="px", source=NOT_RECORDED)
+    """the same, at least in pixels"""
+    explained: float = limit(0.005, source=NOT_RECORDED)
+    """a lower rim explains the outlines if no larger share of them gets that far"""
+    outside: float = limit(6.0, unit="deviations", source=NOT_RECORDED)
+    """residuals beyond are no outline of the object"""
+    largest_outside: float = limit(0.1, source=NOT_RECORDED)
+    """share of the outline that may be left out"""
+    largest_px: float = limit(3.0, unit="px", source=NOT_RECORDED)
+    """largest root mean square distance of the rest"""
+    fewest_over: int = limit(20, source=NOT_RECORDED)
+    """rays over the rim that show its height"""
 
 
 def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None) -> RevolvedSurface:
@@ -80,7 +95,7 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
     points = [mask_outline(view.mask) for view in views]
     rays = outline_rays(views, points)
     state = _first_profile(rays, *_start(views, rays))
-    return _fitted(views, rays, state, wall_m, _LARGEST_OUTSIDE)
+    return _fitted(views, rays, state, wall_m, RevolveSettings.current().largest_outside)
 
 
 def fit_outline_points(
@@ -90,8 +105,8 @@ def fit_outline_points(
     centre: Array,
     heights: Array,
     radii: Array,
+    most_outside: float,
     wall_m: float | None = None,
-    most_outside: float = _LARGEST_OUTSIDE,
 ) -> RevolvedSurface:
     """Fit an axis and a profile to points of the outline, near a profile that is known roughly.
 
@@ -122,6 +137,7 @@ def _fitted(
     most_outside: float,
 ) -> RevolvedSurface:
     """Axis and profile by least squares from a start."""
+    limits = RevolveSettings.current()
     sigma = outline_noise(rays, state)
     state, sigma = _settled(rays, state, sigma)
     for _ in range(2):
@@ -130,10 +146,10 @@ def _fitted(
         state, sigma = _settled(rays, _without_cone(rays, state), sigma)
     gap = ray_gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
-    kept = np.abs(pixels) <= max(_OUTSIDE * sigma, _LARGEST_PX)
+    kept = np.abs(pixels) <= max(limits.outside * sigma, limits.largest_px)
     outside = float((~kept).mean())
     rms = float(np.sqrt((pixels[kept] ** 2).mean()))
-    if outside > most_outside or rms > _LARGEST_PX:
+    if outside > most_outside or rms > limits.largest_px:
         raise ToolkitError(
             f"the object is no surface of revolution: its outline is {rms:.1f} px off, and "
             f"{100 * outside:.0f} % of it far off",
@@ -221,7 +237,8 @@ def _first_profile(rays: OutlineRays, centre: Array, top: float) -> TurnedProfil
 def _lowest_top(rays: OutlineRays, state: TurnedProfile, sigma: float) -> TurnedProfile:
     """The lowest rim with which the outlines are still explained."""
 
-    far = max(_FAR * sigma, _FAR_PX)
+    limits = RevolveSettings.current()
+    far = max(limits.far * sigma, limits.far_px)
 
     def cost(top: float) -> float:
         count = max(_LEAST_HEIGHTS, round(len(state.radii) * top / state.top))
@@ -233,7 +250,7 @@ def _lowest_top(rays: OutlineRays, state: TurnedProfile, sigma: float) -> Turned
     low, high = 0.3 * state.top, state.top
     for _ in range(14):
         middle = (low + high) / 2
-        if cost(middle) <= plateau + _EXPLAINED:
+        if cost(middle) <= plateau + limits.explained:
             high = middle
         else:
             low = middle
@@ -258,7 +275,7 @@ def _without_cone(rays: OutlineRays, state: TurnedProfile) -> TurnedProfile:
     height = state.heights[gap.index]
     fall = -rays.direction[height > state.top - 3 * _CONE_M]
     fall = fall[fall[:, 2] > 0.05]
-    if len(fall) < _FEWEST_OVER:
+    if len(fall) < RevolveSettings.current().fewest_over:
         return state
     steepest = float(np.percentile(np.hypot(fall[:, 0], fall[:, 1]) / fall[:, 2], 10))
     slope = np.gradient(state.radii, state.heights)
@@ -284,7 +301,7 @@ def _system(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Arra
     residual = gap.distance * scale
     limit = np.where(residual < 0, rays.within or _HUBER, _HUBER)
     weight = np.minimum(1, limit / np.maximum(np.abs(residual), 1e-9)) * (
-        np.abs(residual) < 4 * _OUTSIDE
+        np.abs(residual) < 4 * RevolveSettings.current().outside
     )
     J = np.zeros((len(residual), count + 5))
     rows = np.arange(len(residual))

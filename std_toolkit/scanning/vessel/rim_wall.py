@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-_LEAST_WALL_M, _MOST_WALL_M = 0.0008, 0.012
+
+@dataclass(frozen=True, kw_only=True)
+class WallSettings(Settings):
+    """Which walls are measured at a rim."""
+
+    smallest_m: float = limit(0.0008, unit="m", source=NOT_RECORDED)
+    """smallest thickness"""
+    largest_m: float = limit(0.012, unit="m", source=NOT_RECORDED)
+    """largest thickness"""
 
 
 def wall_at_rim(views: Sequence[OutlineView], found: RevolvedSurface) -> float | None:
     """Thickness of the wall from the rim's inner edge; None if no photo shows it."""
+    limits = WallSettings.current()
     top, radius = float(found.heights[-1]), float(found.radii[-1])
-    wall = np.arange(0.0, min(_MOST_WALL_M, 0.6 * radius), 1.5e-4)
+    wall = np.arange(0.0, min(limits.largest_m, 0.6 * radius), 1.5e-4)
     angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     score, used = np.zeros(len(wall)), 0
     for view in views:
@@ -43,7 +54,7 @@ def wall_at_rim(views: Sequence[OutlineView], found: RevolvedSurface) -> float |
     if not used:
         return None
     score /= used
-    inner = np.flatnonzero(wall >= _LEAST_WALL_M)
+    inner = np.flatnonzero(wall >= limits.smallest_m)
     peaks = [
         i
         for i in inner[:-1]

@@ -12,7 +12,7 @@ import trimesh
 from desk_without_window import Desk
 from scene_on_disk import write_scene
 
-from annotator.app import operations
+from annotator.app import mesh_import, operations
 from annotator.session import Move, RemoveObject, SetPoses, Snapshot
 from annotator.session.requests import Outcome, Request
 from annotator.session.requests.mesh_requests import Watch
@@ -135,8 +135,8 @@ def test_two_mesh_files_of_one_name_become_two_models(desk: Desk, tmp_path: Path
         path = tmp_path / str(size) / "mug.ply"
         path.parent.mkdir()
         trimesh.creation.box((size, size, size)).export(path)
-        files.append(operations.NewMesh(path))
-    operations.import_meshes(desk.controller, files)
+        files.append(mesh_import.NewMesh(path))
+    mesh_import.import_meshes(desk.controller, files)
     desk.wait_until_idle()
     sizes = {m.id: m.size_m[0] for m in desk.session.state.models}
     assert sizes == pytest.approx({"box": 0.06, "mug": 0.05, "mug_2": 0.07})

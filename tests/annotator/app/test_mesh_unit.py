@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from annotator.app.operations import measure_mesh
+from annotator.app.mesh_import import measure_mesh
 from std_toolkit.errors import ToolkitError
 
 

@@ -63,7 +63,12 @@ GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
         (GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6), "good", "200 of 200 nearby poses"),
         (GOOD, PoseRank(150, 200, (0, 1), (0, 1), -0.1, 0.6), "poor", "150 of 200"),
         (GOOD, PoseRank(200, 200, (0, 1), (0, 1), 0.1, 0.6), "poor", "another turn fits as well"),
-        (GOOD, PoseRank(200, 200, (0, 1), (0,), -0.1, 0.6), "poor", "1 of 2 frames tells nothing"),
+        (
+            GOOD,
+            PoseRank(200, 200, (0, 1), (0,), -0.1, 0.6),
+            "poor",
+            "1 of 2 frames is inconclusive",
+        ),
         (GOOD, PoseRank(200, 200, (0,), (0,), -0.1, 0.6), "poor", "one frame alone"),
         (
             [*GOOD, residual(2, 19.0, None), residual(3, 19.0, None)],
@@ -71,12 +76,12 @@ GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
             "unknown",
             "2 of 4 frames are at chance level",
         ),
-        # In clutter the nearest edge tells nothing, but whether nearby poses agree better does.
+        # In clutter the nearest edge is inconclusive, but whether nearby poses agree better does.
         (
             [residual(k, 19.0, None) for k in range(4)],
             PoseRank(198, 200, (0, 1, 2, 3), (0, 1, 2), -0.1, 0.6),
             "good",
-            "1 of 4 frames tells nothing",
+            "1 of 4 frames is inconclusive",
         ),
         (
             [residual(k, 19.0, 2.0) for k in range(4)],

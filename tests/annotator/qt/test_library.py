@@ -16,7 +16,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QDialog, QLabel, QRadioButton
 from window_scene import write_box
 
-from annotator.app import operations
+from annotator.app import mesh_import
 from annotator.app.mesh_folder import choose_folder
 from annotator.qt.library_panel import MODEL_MIME
 from annotator.qt.object_panel import OBJECT_MIME
@@ -251,7 +251,7 @@ def test_another_mesh_of_the_same_name_has_another_picture(bench: Bench, tmp_pat
 
     def add(extents: tuple[int, int, int]) -> NDArray[np.uint8]:
         trimesh.creation.box(extents).export(path)
-        operations.import_meshes(bench.controller, [operations.NewMesh(path, "mm")])
+        mesh_import.import_meshes(bench.controller, [mesh_import.NewMesh(path, "mm")])
         _idle(bench)
         # Until its picture is drawn there is a smaller sign.
         bench.qtbot.waitUntil(lambda: len(picture()) == 60 * 60 * 3, timeout=30_000)

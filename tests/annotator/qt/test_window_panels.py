@@ -11,7 +11,7 @@ import trimesh
 from bench import Bench
 from PySide6.QtCore import Qt
 
-from annotator.app import operations
+from annotator.app import mesh_import
 from annotator.app.object_summary import summarize
 from annotator.session.residuals import FrameResidual
 from std_toolkit.checks.measure.ranking import PoseRank
@@ -64,8 +64,8 @@ def test_thumbnails_stand_in_even_columns(bench: Bench, tmp_path: Path) -> None:
     files = []
     for name in ("a", "a_mesh_with_a_long_name", "b"):
         trimesh.creation.box((0.06, 0.04, 0.02 * (1 + len(files)))).export(tmp_path / f"{name}.ply")
-        files.append(operations.NewMesh(tmp_path / f"{name}.ply"))
-    operations.import_meshes(bench.controller, files)
+        files.append(mesh_import.NewMesh(tmp_path / f"{name}.ply"))
+    mesh_import.import_meshes(bench.controller, files)
     meshes = bench.space.library.list
     bench.qtbot.waitUntil(lambda: meshes.count() == 5, timeout=20_000)
 
@@ -94,7 +94,7 @@ def test_pictures_are_not_begun_anew_with_every_edit(bench: Bench, tmp_path: Pat
     bench.controller.start_aside = noted  # type: ignore[method-assign]
     path = tmp_path / "brick.ply"
     trimesh.creation.box((0.06, 0.04, 0.02)).export(path)
-    operations.import_meshes(bench.controller, [operations.NewMesh(path)])
+    mesh_import.import_meshes(bench.controller, [mesh_import.NewMesh(path)])
     bench.qtbot.waitUntil(lambda: bench.space.library.list.count() == 3, timeout=20_000)
     # The pictures of the opening may have been asked for in between, too.
     bench.qtbot.waitUntil(lambda: "Thumbnails" in asked, timeout=20_000)

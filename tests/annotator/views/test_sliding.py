@@ -7,7 +7,7 @@ import pytest
 from views_desk import Desk
 
 from annotator.app.view_options import Gizmo
-from annotator.views.gizmo import PlaneDrag
+from annotator.views.drags import PlaneDrag
 from annotator.views.projection import ScreenCamera
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.support.plane import Plane, TablePlane

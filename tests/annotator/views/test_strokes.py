@@ -8,7 +8,7 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from annotator.views.projection import ImageWindow, ScreenCamera
-from annotator.views.triangles import FADE_PX, Strokes, circle, rgba
+from annotator.views.strokes import FADE_PX, Strokes, circle, rgba
 from std_toolkit.geometry import Camera
 
 RED = (1.0, 0.0, 0.0, 1.0)

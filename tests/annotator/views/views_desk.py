@@ -18,7 +18,7 @@ from annotator.app.image_cache import ImageCache
 from annotator.app.tasks import InlineRunner
 from annotator.session import Session
 from annotator.views import SceneView, ViewSet
-from annotator.views.pointer import interactor_of
+from annotator.views.interaction import interactor_of
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.scene import (

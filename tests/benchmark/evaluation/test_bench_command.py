@@ -133,9 +133,9 @@ def test_figures_as_json(root: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--list-methods"]) == 0
+    assert main(["list", "methods"]) == 0
     methods = capsys.readouterr().out
-    assert main(["--list-splits"]) == 0
+    assert main(["list", "splits"]) == 0
     assert all(f"{name} " in methods for name in ("raw", "swindrnet", "nlspn"))
     assert "std-catknown" in capsys.readouterr().out
     assert main(["list", "methods", "--json"]) == 0
@@ -144,11 +144,11 @@ def test_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_what_of_a_split_is_there(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--check-data", str(root), "--split", SPLIT]) == 0
+    assert main(["check-data", str(root), "--split", SPLIT]) == 0
     assert "4" in capsys.readouterr().out
     assert main(["check-data", str(root), "--split", SPLIT, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["frames"] == 4
-    assert main(["--check-data", str(root), "--split", "dreds-catnovel"]) == 1
+    assert main(["check-data", str(root), "--split", "dreds-catnovel"]) == 1
 
 
 def _has_cuda() -> bool:

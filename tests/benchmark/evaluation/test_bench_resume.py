@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from benchmark.evaluation.engine import Campaign, TaskRun, run_all, run_task
-from benchmark.evaluation.manifest import MANIFEST, begin
+from benchmark.evaluation.manifest import MANIFEST
 from benchmark.evaluation.results import (
     ERROR,
     FAILURES,
@@ -25,6 +25,7 @@ from benchmark.evaluation.results import (
     write_part,
 )
 from std_toolkit.jobs import JobOptions
+from std_toolkit.jobs.artefact import begin
 
 SERIAL = JobOptions(engine="serial", progress=False)
 
@@ -89,7 +90,7 @@ def test_a_later_failure_does_not_replace_an_earlier_success(tmp_path: Path, joi
     if joined:
         go_on(tmp_path, "", 0.1)
     else:  # killed before its parts were joined
-        begin(tmp_path, AManifest())
+        begin(tmp_path / MANIFEST, AManifest(), within=["setup"], hint="")
         write_part(tmp_path, 0, 1, rows([0, 1], "", 0.1))
     table = go_on(tmp_path, "out of memory", 9.0)
     assert table[INDEX].tolist() == [0, 0, 1, 1]

@@ -1,4 +1,4 @@
-"""`std-bench --task pose` and `--task bop` from the command line, and their report."""
+"""`std-bench pose` and `std-bench bop` from the command line, and their report."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def results(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def bench(root: Path, out: Path, *more: str) -> int:
-    words = ["--task", "pose", "--data", str(root), "--split", SPLIT, "--out", str(out)]
+    words = ["pose", "--data", str(root), "--split", SPLIT, "--out", str(out)]
     return main([*words, "--engine", "serial", *more])
 
 
@@ -86,7 +86,7 @@ def test_depth_and_poses_on_one_page(root: Path, tmp_path: Path) -> None:
     words = ["--data", str(root), "--split", SPLIT, "--out", str(tmp_path), "--engine", "serial"]
     words += ["--limit", "2", "--no-gallery"]
     assert main([*words, "--method", "raw", "--no-speed"]) == 0
-    assert main([*words, "--task", "pose", "--method", "gt-nocs"]) == 0
+    assert main(["pose", *words, "--method", "gt-nocs"]) == 0
     assert report([str(tmp_path), "--no-published"]) == 0
     page = (tmp_path / PAGE).read_text()
     assert "<h1>Depth restoration, category-level pose</h1>" in page
@@ -171,7 +171,7 @@ def test_figures_as_json(results: Path, root: Path, capsys: pytest.CaptureFixtur
 
 @pytest.mark.slow
 def test_what_pose_methods_there_are(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--task", "pose", "--list-methods"]) == 0
+    assert main(["list", "methods", "--task", "pose"]) == 0
     text = capsys.readouterr().out
     assert re.search(r"^gt-nocs +True masks", text, re.M)
 
@@ -186,7 +186,7 @@ def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         for pose in dataset.truths(t.scene_id, t.im_id, t.obj_id)[0]
     ]
     write_bop_results(tmp_path / "mine_set-test.csv", estimates)
-    words = ["--task", "bop", "--data", str(root), "--out", str(tmp_path / "out")]
+    words = ["bop", "--data", str(root), "--out", str(tmp_path / "out")]
     words += ["--results", str(tmp_path / "mine_set-test.csv")]
     assert main(words) == 0
     assert re.search(r"mine_set-test +set, test +\d+( +100\.0){4}", capsys.readouterr().out)
@@ -195,7 +195,7 @@ def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     capsys.readouterr()
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["ar"] == 1
-    assert main(words[:4]) == 2
+    assert main(words[:3]) == 2
     assert "--results: needed" in capsys.readouterr().err
 
 

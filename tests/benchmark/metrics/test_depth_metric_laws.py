@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from benchmark.metrics import NAMES, DepthMetrics, Errors, Missing, depth_errors, rmse
+from benchmark.metrics import NAMES, DepthMetrics, Errors, Missing, depth_errors, image_errors, rmse
 from benchmark.metrics.depth.tally import Tally, tally
 
 METRES = st.floats(0.0625, 16, width=32)
@@ -133,10 +133,9 @@ def test_merging_is_one_pass(images: list[tuple[np.ndarray, np.ndarray]], at: in
 @given(depths(), st.sampled_from([Missing.COUNTED, Missing.AS_GIVEN]))
 def test_torch_and_numpy(pair: tuple[np.ndarray, np.ndarray], missing: Missing) -> None:
     torch = pytest.importorskip("torch")
-    from benchmark.metrics.depth import depth_torch
 
     pred, true = pair
     tensors = [torch.from_numpy(np.ascontiguousarray(a))[None] for a in (pred, true)]
-    found = depth_torch.depth_errors(*tensors, missing=missing)
+    found = image_errors(*tensors, missing=missing)
     for name, value in depth_errors(pred, true, missing=missing).as_dict().items():
         np.testing.assert_allclose(found[name].item(), value, rtol=1e-13, err_msg=name)

@@ -1,17 +1,16 @@
-"""Torch's half gives numpy's figures."""
+"""Tensors of torch give numpy's figures."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from benchmark.metrics import Missing
-from benchmark.metrics.depth import depth_numpy
+from benchmark import metrics
+from benchmark.metrics import FIGURES, NAMES, Errors, Missing, depth_errors, image_errors
+from benchmark.metrics.depth.figures import Pixels
 from std_toolkit.errors import ToolkitError
 
 torch = pytest.importorskip("torch")
-
-from benchmark.metrics.depth import depth_torch  # noqa: E402 - there is nothing to import without torch
 
 MISSING = list(Missing)
 REPORTED = [Missing.COUNTED, Missing.AS_GIVEN]
@@ -35,7 +34,6 @@ def batch(dtype: type, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarra
 @pytest.mark.parametrize("missing", MISSING)
 def test_functions(dtype: type, missing: Missing) -> None:
     pred, true, valid = batch(dtype)
-    tensors = [torch.from_numpy(a) for a in (pred, true, valid)]
     for name, options in (
         ("rmse", {}),
         ("mae", {}),
@@ -43,26 +41,24 @@ def test_functions(dtype: type, missing: Missing) -> None:
         ("delta", {"threshold": 1.05}),
         ("delta", {"threshold": 1.25}),
     ):
-        found = getattr(depth_torch, name)(*tensors, missing=missing, **options)
-        one = getattr(depth_numpy, name)
-        expected = [
-            one(*image, missing=missing, **options) for image in zip(pred, true, valid, strict=True)
-        ]
-        assert found.dtype == torch.float64
-        np.testing.assert_allclose(found.numpy(), expected, rtol=1e-13, atol=0, err_msg=name)
+        one = getattr(metrics, name)
+        for image in zip(pred, true, valid, strict=True):
+            found = one(*map(torch.from_numpy, image), missing=missing, **options)
+            expected = one(*image, missing=missing, **options)
+            assert isinstance(found, float)
+            np.testing.assert_allclose(found, expected, rtol=1e-13, atol=0, err_msg=name)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("missing", REPORTED)
 @pytest.mark.parametrize("masked", [True, False])
-def test_all_at_once(dtype: type, missing: Missing, masked: bool) -> None:
+@pytest.mark.parametrize("library", ["torch", "numpy"])
+def test_all_at_once(dtype: type, missing: Missing, masked: bool, library: str) -> None:
     pred, true, valid = batch(dtype, 3)
-    tensors = [torch.from_numpy(a) for a in (pred, true)]
-    found = depth_torch.depth_errors(
-        *tensors, torch.from_numpy(valid) if masked else None, missing=missing
-    )
+    arrays = [torch.from_numpy(a) if library == "torch" else a for a in (pred, true, valid)]
+    found = image_errors(*arrays[:2], arrays[2] if masked else None, missing=missing)
     for i in range(len(pred)):
-        expected = depth_numpy.depth_errors(
+        expected = depth_errors(
             pred[i], true[i], valid[i] if masked else None, missing=missing
         ).as_dict()
         assert list(found) and set(found) == set(expected)
@@ -73,34 +69,53 @@ def test_all_at_once(dtype: type, missing: Missing, masked: bool) -> None:
             )
 
 
+def test_a_figure_is_the_same_at_each_pixel() -> None:
+    pred, true, _ = (a.reshape(-1) for a in batch(np.float32, 5))
+    there = (pred > 0) & (true > 0) & np.isfinite(pred) & np.isfinite(true)
+    for dtype in (np.float32, np.float64):
+        p, g = pred[there].astype(dtype), true[there].astype(dtype)
+        for figure in FIGURES:
+            one = figure.of(Pixels(p, g))
+            other = figure.of(Pixels(torch.from_numpy(p), torch.from_numpy(g)))
+            assert one.dtype == (bool if figure.is_share else np.float64)
+            np.testing.assert_allclose(one, other.numpy(), rtol=3e-16, err_msg=figure.name)
+
+
+def test_errors_have_a_field_for_each_figure() -> None:
+    names = [*NAMES, "coverage", *(f"{name}_answered" for name in NAMES)]
+    assert list(Errors.__dataclass_fields__) == ["n_pixels", "n_answered", *names]
+
+
 def test_coverage() -> None:
-    pred, true, valid = batch(np.float32)
-    found = depth_torch.coverage(*(torch.from_numpy(a) for a in (pred, true, valid)))
-    expected = [depth_numpy.coverage(*image) for image in zip(pred, true, valid, strict=True)]
-    np.testing.assert_array_equal(found.numpy(), expected)
+    for image in zip(*batch(np.float32), strict=True):
+        found = metrics.coverage(*map(torch.from_numpy, image))
+        np.testing.assert_equal(found, metrics.coverage(*image))
 
 
 def test_brain_floats_are_read_as_single() -> None:
     pred, true = torch.full((1, 4), 1.01).bfloat16(), torch.ones(1, 4).bfloat16()
-    assert depth_torch.mae(pred, true).item() == abs(pred.double() - 1).mean().item()
+    expected = abs(pred.double() - 1).mean().item()
+    assert metrics.mae(pred, true) == image_errors(pred, true)["mae"].item() == expected
 
 
 def test_predictions_that_carry_gradients() -> None:
     pred = torch.full((1, 4), 1.5, requires_grad=True)
-    found = depth_torch.rmse(pred, torch.ones(1, 4))
-    assert found.item() == 0.5
-    assert not found.requires_grad
+    found = image_errors(pred, torch.ones(1, 4))["rmse"]
+    assert found.item() == metrics.rmse(pred, torch.ones(1, 4)) == 0.5
+    assert not found.requires_grad and found.dtype == torch.float64
 
 
 def test_what_is_refused() -> None:
     one = torch.ones(2, 3)
     with pytest.raises(ToolkitError, match="one shape"):
-        depth_torch.rmse(one, torch.ones(3, 2))
+        metrics.rmse(one, torch.ones(3, 2))
+    with pytest.raises(ToolkitError, match="one shape"):
+        image_errors(one, torch.ones(3, 2))
     with pytest.raises(ToolkitError, match="floating-point metres"):
-        depth_torch.mae(one.int(), one)
+        metrics.mae(one.int(), one)
     with pytest.raises(ToolkitError, match="batch"):
-        depth_torch.rel(one[0], one[0])
+        image_errors(one[0], one[0])
     with pytest.raises(ToolkitError, match="above 1"):
-        depth_torch.delta(one, one, threshold=0.9)
+        metrics.delta(one, one, threshold=0.9)
     with pytest.raises(ToolkitError, match="no way to count"):
-        depth_torch.depth_errors(one, one, missing=Missing.LEFT_OUT)
+        image_errors(one, one, missing=Missing.LEFT_OUT)

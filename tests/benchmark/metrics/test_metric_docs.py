@@ -33,6 +33,7 @@ NEVER_RAISE = {
     "largest_distance",
     "lowest_points",
     "most_estimates",
+    "namespace",
     "needed_friction",
     "pinhole",
     "precision_at",
@@ -41,6 +42,7 @@ NEVER_RAISE = {
     "seal_at",
     "seconds_per_image",
     "suppress_similar",
+    "usable",
     "voxel_means",
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -213,25 +212,3 @@ def test_the_page_of_all_recipes(tmp_path: Path) -> None:
     ]
     assert places == sorted(places)
     assert page.count("**Scale: ") == 1 and page.count(recipe_overview.NOTE) == 1
-
-
-def test_the_docs_hold_the_tables_of_every_recipe() -> None:
-    """The page is OUT/small/tables.md: copy it anew when the scale or a recipe changes."""
-    page = (REPOSITORY / "docs" / "recipe_results.md").read_text(encoding="utf-8")
-    small = scales()["small"]
-    assert small.about in page
-    assert f"- Training set: {small.sets['train'].scenes} scenes" in page
-    assert f"{small.training.steps} steps of {small.training.batch_size} frames" in page
-    sections = re.split("^## ", page, flags=re.MULTILINE)
-    for name in recipe_names():
-        (mine,) = (s for s in sections if f"`std-train recipe {name} --scale small`" in s)
-        recipe = load_recipe(name)[1]
-        assert mine.startswith(recipe.title)
-        rows = [line for line in mine.splitlines() if line.startswith("|")]
-        for one in (*recipe.variants.values(), *recipe.poses.values()):
-            measured = [row for row in rows if row.startswith(f"| {one.title} | paper, ")]
-            assert measured and all(" [" in row for row in measured[:1]), (name, one.title)
-        assert any("| *published* |" in row for row in rows) or not (
-            recipe.table or recipe.pose_table
-        )
-    assert "](/" not in page and "/work" not in page and "/home" not in page

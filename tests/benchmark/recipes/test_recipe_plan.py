@@ -13,7 +13,6 @@ from recipe_data import mark_as_simulated, write_set, write_std
 from benchmark.cli.train import main
 from benchmark.recipes.recipe import RecipeConfig, recipe_names
 from benchmark.recipes.recipe_plan import RecipePlan, plan_recipe
-from benchmark.recipes.recipe_run import make_set
 from benchmark.recipes.recipe_show import plan_text, recipe_list, simulation_s, train_command
 from benchmark.training.options import TrainCommand
 from sensors.simulation.options import SimulationOptions
@@ -254,5 +253,5 @@ def test_scenes_of_other_seeds_are_refused(tmp_path: Path) -> None:
     train.check_scenes()
     write_set(train.root, "train", 2, first=3)
     with pytest.raises(ToolkitError, match="scenes that are not of the set") as error:
-        make_set(train, JobOptions(engine="serial"))
+        train.simulate(JobOptions(engine="serial"))
     assert error.value.value == "00003, 00004"

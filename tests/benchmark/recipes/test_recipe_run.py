@@ -219,7 +219,7 @@ def test_stale_steps_are_refused(own, tmp_path, capsys, monkeypatch):
         capsys.readouterr()
         assert main(line) == 1
         told = capsys.readouterr()
-        assert "begun with another configuration: steps: 4 then, 6 now" in told.err
+        assert "steps: this training was begun with 4 (got 6)" in told.err
         assert "SwinDRNet, cropped synthetic depth" in told.err
     write_set(train, "train", 1, first=3)
     assert main(line) == 1

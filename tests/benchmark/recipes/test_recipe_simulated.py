@@ -19,7 +19,7 @@ from benchmark.recipes.recipe_table import MEASURED
 from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
 
-SIMULATOR = ("mitsuba", "mujoco", "coacd", "manifold3d", "numba")
+SIMULATOR = ("mitsuba", "mujoco", "coacd", "manifold3d")
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(

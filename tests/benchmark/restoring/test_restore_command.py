@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -17,6 +18,8 @@ from restore_cases import SIZE, K, sensor_depth, write_folder, write_methods
 
 from benchmark.cli.bench import main as bench
 from benchmark.cli.restore import main
+from std_toolkit.geometry import Camera, undistort_image
+from std_toolkit.importers.intrinsics import read_intrinsics
 from std_toolkit.io.exr import read_exr
 from std_toolkit.io.images import image_size, read_color, read_png
 from std_toolkit.scene.scene import Scene
@@ -67,6 +70,29 @@ def test_what_a_method_trusts_stays_and_the_rest_is_its_own(folder, tmp_path, me
     assert trusted[:, :40].all() and not trusted[:, 56:].any()
     assert ((found == raw) | (raw == 0))[:, :40].mean() > 0.97
     assert (found > 0).all()
+
+
+def test_a_fisheye_is_undistorted_before_it_is_restored(folder, tmp_path, method):
+    """Beside restored depth are the colour and the intrinsics that it belongs to."""
+    lens = Camera(*SIZE, 96, 96, 47.5, 35.5, (0.1, 0.02, 0.0, 0.0), "fisheye")
+    document = {"K": lens.K.tolist(), "model": "fisheye", "D": lens.distortion}
+    (folder / "intrinsics.json").write_text(json.dumps(document))
+    out = tmp_path / "out"
+    assert restore(folder, "--out", out, "--method", method) == 0
+    raw = undistort_image(
+        read_png(folder / "depth/0000.png"), lens, interpolation=cv2.INTER_NEAREST
+    )
+    found = read_png(out / "depth/0000.png")
+    assert ((found == raw) | (raw == 0))[:, :40].mean() > 0.97
+    color = read_color(out / "color/0000.png")
+    assert np.array_equal(color, undistort_image(read_color(folder / "color/0000.png"), lens))
+    read = read_intrinsics(str(out / "intrinsics.json"), size=SIZE).camera(SIZE, path="k")
+    assert read == lens.without_distortion()
+    # Another field of view is other work, not a resumed run.
+    before = (out / "frames/0000.json").read_text()
+    assert restore(folder, "--out", out, "--method", method, "--undistort-fov", 50) == 0
+    assert (out / "frames/0000.json").read_text() != before
+    assert json.loads((out / "intrinsics.json").read_text())["fx"] > 96
 
 
 def test_a_scene_keeps_its_correction(tmp_path, method):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from benchmark import Restorer
 from benchmark.cli.bench import main as bench
 from benchmark.cli.restore import main as restore
 from benchmark.restoring.onnx_export import made_up_views
-from std_toolkit.errors import EXTRAS, ToolkitError
+from std_toolkit.errors import ToolkitError
 
 K = np.array([[96.0, 0, 47.5], [0, 96, 35.5], [0, 0, 1]])
 COLOR = made_up_views(SIZE)[0].color
@@ -130,11 +128,3 @@ def test_missing_packages_are_named_with_the_command_to_install_them(monkeypatch
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ToolkitError, match=r"'std-toolkit\[restore\]'"):
         Restorer.load()
-
-
-def test_every_extra_of_the_table_brings_its_module():
-    text = (Path(__file__).resolve().parents[3] / "pyproject.toml").read_text()
-    extras = tomllib.loads(text)["project"]["optional-dependencies"]
-    for module, extra in EXTRAS.items():
-        wanted = module.lower().replace("_", "-")
-        assert any(line.lower().startswith(wanted) for line in extras[extra]), module

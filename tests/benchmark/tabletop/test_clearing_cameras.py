@@ -49,7 +49,6 @@ def test_another_camera_is_refused():
 @pytest.mark.slow
 def test_the_simulator_stands_where_the_quick_camera_does():
     pytest.importorskip("mitsuba")
-    pytest.importorskip("numba")
     quick, simulated = _look("quick", color=True), _look("simulated", color=True)
     assert quick.frame.color.shape == simulated.frame.color.shape == (HEIGHT, WIDTH, 3)
     # One scene, light and exposure: they differ by noise alone.

@@ -19,6 +19,7 @@ from benchmark.methods.depth.cleargrasp.global_optimization import normals_to_op
 from benchmark.methods.depth.cleargrasp.join import join_weights
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.registry import MethodOptions, make_restorer
+from benchmark.methods.torch_camera import points_of
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.depth.cleargrasp_losses import (
     CONTACT,
@@ -31,7 +32,6 @@ from benchmark.training.depth.cleargrasp_losses import (
     outlines_of,
 )
 from benchmark.training.depth.cleargrasp_training import ClearGraspValidator, cleargrasp_target
-from benchmark.training.depth.depth_losses import points
 from benchmark.training.packed_frames import PackedFrames
 from std_toolkit.geometry.camera import Camera
 from tests.dreds_on_disk import TRANSPARENT
@@ -48,7 +48,7 @@ def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rays() -> Tensor:
-    return points(torch.ones(1, 1, *SIZE), K)
+    return points_of(torch.ones(1, 1, *SIZE), K)
 
 
 def on_plane(normal: tuple[float, float, float], offset: float) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 
 from benchmark.methods.pose.crop_nocs import PRESETS, CropNOCSNetwork, decoded, points_in
 from benchmark.methods.pose.segmented import Placed, crop_object, longest_axis, turned_about_z
-from benchmark.methods.registry import MethodOptions, configured, make_pose_method
+from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.methods.weights import save_weights
 from benchmark.training.catalogue import get_trainable
 from benchmark.training.pose.crop_nocs_training import binned_entropy, crop_nocs_step, seen_half
@@ -16,6 +16,7 @@ from benchmark.training.pose.deformation_loss import ObjectTruth, about_y, facin
 from benchmark.training.pose.deformation_training import trained_depth
 from benchmark.training.step import StepInfo, model_input
 from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import configured
 from tests.benchmark.methods.pose.boxes_in_view import (
     CAR,
     MUG,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.methods.pointnet.chamfer import chamfer, one_way
+from benchmark.methods.pointnet.grouping import chamfer, one_way
 from benchmark.methods.pose.deformation import Deformed
-from benchmark.methods.registry import MethodOptions, configured, make_pose_method
+from benchmark.methods.registry import MethodOptions, make_pose_method
 from benchmark.methods.weights import save_weights
 from benchmark.metrics.pose.pose_protocol import PoseClasses
 from benchmark.training.catalogue import get_trainable
@@ -27,6 +27,7 @@ from benchmark.training.pose.deformation_training import (
 )
 from benchmark.training.step import StepInfo, model_input
 from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import configured
 from tests.benchmark.methods.pose.boxes_in_view import (
     CAR,
     MUG,

@@ -9,7 +9,7 @@ import pytest
 import torch
 from training_set import packed, trained, wishes, write_scenes
 
-from benchmark.training.depth.depth_losses import points
+from benchmark.methods.torch_camera import points_of
 from benchmark.training.plan import plan_training
 from benchmark.training.step import ModelInput
 from std_toolkit.errors import ToolkitError
@@ -22,7 +22,7 @@ K = torch.tensor([[60.0, 0, 30.7], [0, 90.0, 24.2], [0, 0, 1]])
 def a_scene(count: int) -> ModelInput:
     """A slanted plane whose colour tells x and y, with a box of which the sensor sees nothing."""
     h, w = SIDE
-    rays = points(torch.ones(count, 1, h, w), K.expand(count, 3, 3))
+    rays = points_of(torch.ones(count, 1, h, w), K.expand(count, 3, 3))
     true = 0.8 / (rays * torch.tensor([0.2, -0.3, 1.0]).reshape(1, 3, 1, 1)).sum(1, keepdim=True)
     mask = torch.full((count, h, w), 255, dtype=torch.uint8)
     mask[:, 15:30, 20:40] = 7
@@ -74,7 +74,7 @@ def test_points_of_the_scene_move_as_one(monkeypatch, scale, degrees, side):
     drawn(monkeypatch, scale, degrees, side)
     found = moved(a_scene(1))
     true, mask = found.batch["true"][:, None], found.batch["mask"]
-    at = points(true, found.batch["K"])
+    at = points_of(true, found.batch["K"])
     named = found.color[:, :2] - 0.5
     angle = torch.tensor(float(degrees)).deg2rad()
     x, y = side * named[:, 0], named[:, 1]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sensors.materials.material_draw import (
+    DrawnMaterial,
     DrawnTexture,
-    decode_material,
     draw_material,
     draw_material_class,
 )
@@ -58,7 +58,7 @@ def test_draws_are_seeded_recordable_and_within_range(material_class) -> None:
         again = draw_material(np.random.default_rng(seed), material_class, textured=seed % 2 == 0)
         assert drawn == again
         assert drawn.material_class == material_class
-        assert decode_material(msgspec.json.encode(drawn)) == drawn
+        assert msgspec.json.decode(msgspec.json.encode(drawn), type=DrawnMaterial) == drawn
         assert all(0 <= getattr(drawn, p) <= 1 for p in PARAMETERS)
         assert (drawn.glass is not None) == (material_class == "transparent")
 

@@ -10,7 +10,7 @@ import trimesh
 from sensors.output.simulated_frame import SimulatedFrame, SimulatedObject, SimulatedScene
 from sensors.synthetic.shapes import default_shapes
 from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
-from sensors.viewpoints.views import ViewpointOptions, hidden_objects, random_viewpoints
+from sensors.viewpoints.views import ViewpointOptions, random_viewpoints
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.rendering.maps import render_scene_maps
@@ -68,7 +68,7 @@ def make_scene(*, name: str = "00017", frames: int = 3, seed: int = 17) -> Simul
     )
 
 
-def view_maps(scene: SimulatedScene, camera: Camera, T_world_cam: SE3, hidden: tuple[int, ...]):
+def view_maps(scene: SimulatedScene, camera: Camera, T_world_cam: SE3):
     """Exact depth (floor included), mask, NOCS and normals in a camera."""
     T_cam_world = T_world_cam.inverse()
     placed = [
@@ -78,7 +78,6 @@ def view_maps(scene: SimulatedScene, camera: Camera, T_world_cam: SE3, hidden: t
             T_cam_world @ o.T_world_obj,
         )
         for o in scene.objects
-        if o.instance_id not in hidden
     ]
     maps = render_scene_maps(RaycastRenderer(), camera, placed)
     down = (camera.rays() @ T_world_cam.R.T)[..., 2]
@@ -94,16 +93,15 @@ def make_frame(
     index: int,
     T_world_cam: SE3,
     *,
-    hidden: tuple[int, ...] = (),
     labels: tuple[int, int] = LABELS,
     color: np.ndarray | None = None,
 ) -> SimulatedFrame:
     """A frame whose sensor depth has noise, a scale error and holes on the left border."""
     rng = np.random.default_rng([scene.seed, index])
     camera = COLOR if labels == COLOR.size else COLOR.resized(*labels)
-    depth, mask, nocs, normals = view_maps(scene, camera, T_world_cam, hidden)
+    depth, mask, nocs, normals = view_maps(scene, camera, T_world_cam)
     T_world_ir = T_world_cam @ T_IR_COLOR.inverse()
-    depth_ir, mask_ir, _, _ = view_maps(scene, INFRARED, T_world_ir, hidden)
+    depth_ir, mask_ir, _, _ = view_maps(scene, INFRARED, T_world_ir)
 
     def measured(exact: np.ndarray) -> np.ndarray:
         noisy = exact * 1.01 + rng.normal(0, 0.001, exact.shape) * (exact > 0)
@@ -132,17 +130,14 @@ def make_frame(
         T_world_ir=T_world_ir,
         color_camera=COLOR,
         infrared_camera=INFRARED,
-        hidden=hidden,
     )
 
 
 def random_frames(scene: SimulatedScene) -> Iterator[SimulatedFrame]:
-    """Frames from DREDS's viewpoints, with objects at the image's edge left out."""
-    centres = {o.instance_id: o.T_world_obj.t for o in scene.objects}
+    """Frames from DREDS's viewpoints."""
     options = ViewpointOptions(count=scene.frames)
     for i, view in enumerate(random_viewpoints(scene.seed, options)):
-        hidden = hidden_objects(view.T_world_cam, COLOR, centres)
-        yield make_frame(scene, i, view.T_world_cam, hidden=hidden)
+        yield make_frame(scene, i, view.T_world_cam)
 
 
 def followed_frames(scene: SimulatedScene) -> Iterator[SimulatedFrame]:

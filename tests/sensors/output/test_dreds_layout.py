@@ -155,13 +155,10 @@ def test_nocs_and_depth_tell_every_pose(out, scene, frames, squash) -> None:
 
 def test_meta_lines_tell_what_the_generator_tells(out, scene, frames) -> None:
     loader = ReleasedLoader(out / "DREDS-CatKnown/train")
-    left_out = 0
     for i, frame in enumerate(frames):
-        shown = [o for o in scene.objects if o.instance_id not in frame.hidden]
-        left_out += len(frame.hidden)
         lines = loader[i]["meta"]
-        assert [int(line[0]) for line in lines] == [o.instance_id for o in shown]
-        for line, item in zip(lines, shown, strict=True):
+        assert [int(line[0]) for line in lines] == [o.instance_id for o in scene.objects]
+        for line, item in zip(lines, scene.objects, strict=True):
             assert (len(line), line[-1]) == (14, "")
             truth = frame.T_world_cam.inverse() @ item.T_world_obj
             assert int(line[1]) == item.class_id
@@ -177,7 +174,6 @@ def test_meta_lines_tell_what_the_generator_tells(out, scene, frames) -> None:
             conjugate = SE3.from_quat([w, -x, -y, -z], np.zeros(3))
             np.testing.assert_allclose(conjugate.R, truth.R, atol=1e-7)
             np.testing.assert_allclose([float(n) for n in line[10:13]], truth.t, atol=1e-8)
-    assert left_out > 0
     synsets = {
         o.category: p.parent.name
         for o in scene.objects
@@ -267,9 +263,8 @@ def test_the_toolkit_reads_the_meta_lines(out, scene, frames) -> None:
     folder = scene_folder(out, "train", "00017")
     for frame in frames:
         lines = read_meta(folder / f"{frame.index:04d}_meta.txt")
-        shown = [o for o in scene.objects if o.instance_id not in frame.hidden]
-        assert [x.mask_id for x in lines] == [o.instance_id for o in shown]
-        assert [x.material for x in lines] == [o.material_class for o in shown]
+        assert [x.mask_id for x in lines] == [o.instance_id for o in scene.objects]
+        assert [x.material for x in lines] == [o.material_class for o in scene.objects]
 
 
 def test_the_record_holds_what_the_layout_cannot(out, scene, frames) -> None:
@@ -280,7 +275,6 @@ def test_the_record_holds_what_the_layout_cannot(out, scene, frames) -> None:
     assert record.infrared_camera.camera() == frames[0].infrared_camera
     for frame, row in zip(frames, record.frames, strict=True):
         assert row.index == frame.index
-        assert tuple(row.hidden) == frame.hidden
         np.testing.assert_allclose(row.T_world_ir, frame.T_world_ir.flat(), atol=1e-15)
         np.testing.assert_allclose(row.T_world_cam, frame.T_world_cam.flat(), atol=1e-15)
     for item, entry in zip(scene.objects, record.objects, strict=True):
@@ -432,6 +426,6 @@ def test_novel_scenes_have_the_layout_of_catnovel(scene, frames, tmp_path: Path)
     rows = (folder / "0000_meta.txt").read_text().splitlines()
     assert {len(row.split()) for row in rows} == {3}
     assert [row.mask_id for row in read_meta(folder / "0000_meta.txt")] == [
-        o.instance_id for o in scene.objects if o.instance_id not in frames[0].hidden
+        o.instance_id for o in scene.objects
     ]
     assert (tmp_path / "parameters/novel" / f"{scene.name}.json").is_file()

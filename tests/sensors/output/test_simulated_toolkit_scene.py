@@ -16,7 +16,6 @@ from simulated_views import (
     make_frame,
     make_objects,
     make_scene,
-    random_frames,
 )
 
 from sensors.output.toolkit_scene import (
@@ -180,28 +179,6 @@ def test_the_check_would_see_a_wrong_pose(followed, tmp_path) -> None:
     ]
     scene.save_labels(Labels(labels=moved))
     assert not run_check(scene, jobs=SERIAL).passed
-
-
-def test_objects_left_out_of_a_view_have_no_pose_there(tmp_path) -> None:
-    source = make_scene(frames=3)
-    frames = list(random_frames(source))
-    with toolkit_scene(tmp_path / "scene", source) as writer:
-        for frame in frames:
-            writer.add(frame)
-    scene = Scene.open(tmp_path / "scene")
-    sometimes = {i for f in frames for i in f.hidden}
-    assert sometimes
-    for item in source.objects:
-        key = item.instance_id
-        label = scene.labels.of(key)
-        assert (label.T_world_obj is None) == (key in sometimes)
-        shown = {f.index for f in frames if key not in f.hidden}
-        if key in sometimes:
-            assert {label.frame, *map(int, label.views)} == shown
-    for frame in frames:
-        truth = read_ground_truth(scene, frame.index)
-        assert truth_is_current(scene, truth.info)
-        assert {r.object for r in truth.info.objects} == set(range(1, 7)) - set(frame.hidden)
 
 
 def test_a_scene_appears_whole_or_not_at_all(simulated, written, tmp_path) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from perf.trial import measurable_pixels, small_holes
 from sensors.simulation.set_report import ErrorTally
-from sensors.simulation.trial import measurable_pixels, small_holes
 from sensors.specs import load_sensor
 from std_toolkit.geometry.camera import Camera
 
@@ -54,8 +54,8 @@ def renderer():
 @pytest.mark.slow
 def test_diffuse_surfaces_at_60_cm_are_measured(renderer) -> None:
     """All 36 materials: 95 % complete, median error 1.2 mm."""
+    from perf.trial import render_view, tiles
     from sensors.render.sim_renderer import DRAFT_INFRARED
-    from sensors.simulation.trial import render_view, tiles
 
     camera = part(280, 160)
     board = tiles(camera, 0)
@@ -77,8 +77,8 @@ def test_diffuse_surfaces_at_60_cm_are_measured(renderer) -> None:
 
 @pytest.mark.slow
 def test_glass_and_metal_are_measured_much_less_than_paper(renderer) -> None:
+    from perf.trial import render_view, vessels
     from sensors.render.sim_renderer import DRAFT_INFRARED
-    from sensors.simulation.trial import render_view, vessels
 
     camera = part(400, 240)
     rows = {}
@@ -113,11 +113,11 @@ def test_small_holes_are_counted_by_size() -> None:
 
 def check_random_view(renderer, seed: int, index: int = 0) -> None:
     """The bounds of real D4xx cameras: holes, completeness and error of the floor."""
+    from perf.trial import TrialScene, render_view
     from sensors.render.sim_renderer import DRAFT_INFRARED
     from sensors.simulation.options import SimulationOptions
     from sensors.simulation.simulated_set import parts_cache
     from sensors.simulation.simulator import Simulator
-    from sensors.simulation.trial import TrialScene, render_view
 
     world = Simulator(SimulationOptions(views=2), parts_cache=parts_cache()).world(seed, "x")
     eye = world.T_world_cam[index] @ SPEC.pose_of_color.inverse()

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from perf.dotted_plane import DottedPlane, measure_plane
 from sensors.pattern import make_pattern
-from sensors.simulation.dotted_plane import DottedPlane, measure_plane
 from sensors.specs import load_sensor
 from std_toolkit.errors import ToolkitError
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import signal
 import subprocess
@@ -11,7 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-import trimesh
+from set_on_disk import arguments as set_arguments
+from set_on_disk import contents
 
 from sensors.output.dreds import scene_folder
 from sensors.simulation.cli import main
@@ -22,26 +22,9 @@ pytestmark = pytest.mark.slow
 SCENES = 3
 
 
-@pytest.fixture(scope="module")
-def shapes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Convex meshes, which cost no decomposition."""
-    folder = tmp_path_factory.mktemp("shapes")
-    for name, mesh in {
-        "box/small.obj": trimesh.creation.box((0.1, 0.06, 0.08)),
-        "ball/plain.obj": trimesh.creation.icosphere(3, 0.05),
-    }.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        mesh.export(folder / name)
-    return folder
-
-
 def arguments(out: Path, shapes: Path, *more: str) -> list[str]:
-    return [
-        *("--out", str(out), "--assets", "folder", "--assets-root", str(shapes)),
-        *("--preset", "tiny", "--width", "160", "--height", "90", "--views", "2"),
-        *("--scenes", str(SCENES), "--layout", "dreds", "--layout", "scene"),
-        *more,
-    ]
+    three = ("--scenes", str(SCENES), "--layout", "dreds", "--layout", "scene")
+    return set_arguments(out, shapes, *three, *more)
 
 
 @pytest.fixture(scope="module")
@@ -50,14 +33,6 @@ def reference(tmp_path_factory: pytest.TempPathFactory, shapes: Path) -> dict[st
     out = tmp_path_factory.mktemp("set") / "serial"
     assert main(arguments(out, shapes, "--engine", "serial")) == 0
     return contents(out)
-
-
-def contents(folder: Path) -> dict[str, str]:
-    return {
-        p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file()
-    }
 
 
 def children(process: int) -> list[int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import signal
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
+from set_on_disk import arguments, contents
 
 from sensors.output.dreds import SUFFIXES, scene_folder
 from sensors.simulation.cli import main
@@ -25,42 +24,12 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def shapes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Convex meshes, which cost no decomposition."""
-    folder = tmp_path_factory.mktemp("shapes")
-    for name, mesh in {
-        "box/small.obj": trimesh.creation.box((0.1, 0.06, 0.08)),
-        "ball/plain.obj": trimesh.creation.icosphere(3, 0.05),
-        "drum/flat.obj": trimesh.creation.cylinder(0.05, 0.06, sections=48),
-    }.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        mesh.export(folder / name)
-    return folder
-
-
-def arguments(out: Path, shapes: Path, *more: str) -> list[str]:
-    return [
-        *("--out", str(out), "--assets", "folder", "--assets-root", str(shapes)),
-        *("--preset", "tiny", "--width", "160", "--height", "90", "--views", "2"),
-        *more,
-    ]
-
-
-@pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, shapes: Path) -> Path:
     """Two scenes in both layouts, made without workers."""
     out = tmp_path_factory.mktemp("set") / "made"
     both = ("--layout", "dreds", "--layout", "scene")
     assert main(arguments(out, shapes, "--scenes", "2", "--engine", "serial", *both)) == 0
     return out
-
-
-def contents(folder: Path) -> dict[str, str]:
-    return {
-        p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file()
-    }
 
 
 def test_every_frame_has_every_file_and_depth_is_about_right(made: Path) -> None:

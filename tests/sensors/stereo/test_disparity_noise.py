@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sensors.stereo.disparity_noise import with_noise
+from sensors.depth_models.stereo import with_noise
 
 
 def test_noise_has_its_deviation_and_correlation() -> None:

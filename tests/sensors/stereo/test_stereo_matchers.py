@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from dot_stereo import Rig, plane
 
+from sensors.depth_models import DepthModelOptions
+from sensors.depth_models.stereo import ActiveStereo
+from sensors.specs import load_sensor
 from sensors.stereo import MATCHERS, disparity_to_depth, make_matcher
 from std_toolkit.errors import ToolkitError
 
@@ -72,3 +75,14 @@ def test_depth_of_disparity() -> None:
     assert depth.dtype == np.float32
     fb = 443.9146 * 0.0547804
     assert depth == pytest.approx(np.array([[0, fb / 24.3, fb / 48.6], [0, 0, fb / 30]]), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["local", "sgbm", "dreds"])
+def test_a_simulated_camera_takes_every_matcher(name: str) -> None:
+    sensor = load_sensor("d415")
+    model = ActiveStereo(sensor, DepthModelOptions(width=320, height=180, matcher=name))
+    left = np.random.default_rng(0).integers(0, 256, (180, 320)).astype(np.uint8)
+    right = np.roll(left, -20, axis=1)
+    depth = model.read((left / np.float32(255), right / np.float32(255)), seed=1).depth
+    expected = model.camera.fx * sensor.baseline_m / 20
+    assert np.median(depth[depth > 0]) == pytest.approx(expected, rel=0.02)

@@ -132,11 +132,11 @@ def test_recordings_do_not_mix(tmp_path: Path) -> None:
     (other / "simulated.json").write_text(
         '{"version_of_tool": "0", "options": {"frames": 3}}', encoding="utf-8"
     )
-    with pytest.raises(ToolkitError, match="other options"):
+    with pytest.raises(ToolkitError, match="this recording was begun with"):
         make_simulated_recording(other, SMALL)
     (tmp_path / "quick").mkdir()
     (tmp_path / "quick" / "truth.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(ToolkitError, match="something else"):
+    with pytest.raises(ToolkitError, match=r"contains files but no simulated\.json"):
         make_simulated_recording(tmp_path / "quick", SMALL)
     with pytest.raises(ToolkitError, match="at least 1"):
         SimulatedOptions(frames=0)

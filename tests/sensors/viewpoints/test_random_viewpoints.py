@@ -7,15 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sensors.viewpoints.views import (
-    ViewMargins,
-    ViewpointOptions,
-    hidden_objects,
-    look_at,
-    random_viewpoints,
-)
+from sensors.viewpoints.views import ViewpointOptions, look_at, random_viewpoints
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry import Camera
 
 CAMERA = Camera(640, 360, 446.31, 446.31, 319.5, 179.5)
 
@@ -119,39 +113,3 @@ def test_a_camera_that_sees_nothing_is_refused() -> None:
         look_at([0, 0, 1], [0, 0, 0])
     with pytest.raises(ToolkitError, match="seed"):
         random_viewpoints(-1)
-
-
-def test_objects_at_the_edge_are_told() -> None:
-    T_world_cam = SE3.identity()
-
-    def at(x: float, y: float, z: float = 0.7) -> np.ndarray:
-        """The point whose pixel is at shares x, y of the image."""
-        return CAMERA.unproject(np.array([x * 640 - 0.5, y * 360 - 0.5]), z)
-
-    centres = {
-        9: at(0.5, 0.5),
-        2: at(0.031, 0.5),
-        3: at(0.029, 0.5),
-        4: at(0.969, 0.5),
-        5: at(0.971, 0.5),
-        6: at(0.5, 0.049),
-        7: at(0.5, 0.949),
-        8: at(0.5, 0.951),
-        1: -at(0.5, 0.5),  # behind
-    }
-    assert hidden_objects(T_world_cam, CAMERA, centres) == (1, 3, 5, 6, 8)
-    moved = SE3.exp([0.3, -0.2, 0.9, 0.4, 0.2, -0.7])
-    turned = {k: moved @ p for k, p in centres.items()}
-    assert hidden_objects(moved, CAMERA, turned) == (1, 3, 5, 6, 8)
-    everything = ViewMargins(horizontal=(0, 1), vertical=(0, 1))
-    assert hidden_objects(T_world_cam, CAMERA, centres, everything) == (1,)
-    with pytest.raises(ToolkitError, match="vertical"):
-        ViewMargins(vertical=(0.9, 0.1))
-
-
-def test_most_of_a_random_scene_is_in_view() -> None:
-    """Objects within 30 cm of the middle, seen as DREDS sees them."""
-    rng = np.random.default_rng(0)
-    centres = {i: [*rng.uniform(-0.3, 0.3, 2), 0.08] for i in range(1, 9)}
-    shares = [len(hidden_objects(v.T_world_cam, CAMERA, centres)) / 8 for v in random_viewpoints(1)]
-    assert 0 < np.mean(shares) < 0.4

@@ -13,8 +13,9 @@ from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import ExportOptions, export_scene
 from std_toolkit.importers import ImportRequest, import_recording
-from std_toolkit.scene import Scene, document
-from std_toolkit.scene.check_flags import read_check_flags, scene_fingerprint
+from std_toolkit.jobs.artefact import Artefact
+from std_toolkit.scene import Scene
+from std_toolkit.scene.check_flags import SCENE_INPUT, read_check_flags, scene_fingerprint
 
 DROP = ExportOptions(drop_bad_frames=True)
 
@@ -40,8 +41,7 @@ def write_report(scene: Scene, frames: dict[int, str], objects: dict[tuple[int, 
     }
     (scene.root / "check").mkdir(exist_ok=True)
     (scene.root / "check" / "report.json").write_text(json.dumps(report))
-    parameters = {"scene": scene_fingerprint(scene)}
-    document.write_record(scene.root, "check", "0" * 32, outputs=[], parameters=parameters)
+    Artefact(scene.root, "check", {SCENE_INPUT: scene_fingerprint(scene)}).write([])
 
 
 def ids(scene: Scene) -> list[int]:

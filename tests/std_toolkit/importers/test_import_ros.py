@@ -13,6 +13,7 @@ pytest.importorskip("rosbags")
 
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera, undistort_image
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import detect_format
 from std_toolkit.importers.ros_importer import is_ros_recording, pair_stamps
@@ -174,11 +175,26 @@ def test_a_lens_is_kept_and_rectified_images_have_none(tmp_path: Path) -> None:
         assert camera.fx == (K[0] if name == "raw" else K[0] + 2)
 
 
+def test_a_fisheye_is_undistorted(tmp_path: Path) -> None:
+    with RosWriter(tmp_path / "rec") as out:
+        out.info(INFO, 100, d=(0.1, -0.05, 0.001, 0.002), model="equidistant")
+        out.image(COLOR, 100, color_image(0), "rgb8")
+        out.image(DEPTH, 100, depth_mm(0), "16UC1")
+    scene = imported(tmp_path / "rec")
+    camera = scene.camera(scene.frames[0])
+    recorded = scene.info.recorded_lenses["color"]
+    assert (recorded.model, recorded.distortion) == ("fisheye", [0.1, -0.05, 0.001, 0.002])
+    assert (camera.fx, camera.distortion) == (K[0], ())
+    lens = Camera(*SIZE, *K, (0.1, -0.05, 0.001, 0.002), "fisheye")
+    expected = undistort_image(depth_mm(0), lens, interpolation=cv2.INTER_NEAREST)
+    assert np.allclose(scene.read_depth(scene.frames[0]), expected / 1000)
+
+
 @pytest.mark.parametrize("fault", ["unaligned", "no info", "fisheye", "no images", "short", "mono"])
 def test_what_cannot_be_used_is_named(fault: str, tmp_path: Path) -> None:
     with RosWriter(tmp_path / "rec") as out:
         if fault != "no info":
-            model = "equidistant" if fault == "fisheye" else "plumb_bob"
+            model = "thin_prism_fisheye" if fault == "fisheye" else "plumb_bob"
             out.info(INFO, 100, d=(0.1, 0, 0, 0), model=model)
         if fault != "no images":
             encoding = "mono8" if fault == "mono" else "rgb8"

@@ -58,8 +58,8 @@ FILES = {
     "realsense json, sections": json.dumps(
         {"depth": {"fx": 1.0}, "color": {"fx": 640.9, "fy": 640.2, "cx": 642.9, "cy": 366.8}}
     ),
-    "nerf": json.dumps(
-        {"fl_x": 640.9, "fl_y": 640.2, "cx": 642.9, "cy": 366.8, "w": 1280, "h": 720}
+    "nerf, which counts pixels from the corner": json.dumps(
+        {"fl_x": 640.9, "fl_y": 640.2, "cx": 643.4, "cy": 367.3, "w": 1280, "h": 720}
     ),
     "yaml scalars": "# Camera\nxres: 1280   # Width\nyres: 720\nfx: 640.9  # px\nfy: 640.2\n"
     "cx: 642.9\ncy: 366.8\n",
@@ -125,7 +125,7 @@ REFUSED = {
     "skewed": ("500 3 320\n0 500 240\n0 0 1", "skewed"),
     "a projection": ("500 0 320\n0 500 240\n0 0 2", "not a camera matrix"),
     "foreign lens": (
-        '{"fx": 1, "fy": 1, "ppx": 1, "ppy": 1, "model": "Kannala Brandt", "coeffs": [1,1,1,1]}',
+        '{"fx": 1, "fy": 1, "ppx": 1, "ppy": 1, "model": "F-Theta", "coeffs": [1,1,1,1]}',
         "distortion model",
     ),
     "prose": ("take the usual ones", "no intrinsics found"),

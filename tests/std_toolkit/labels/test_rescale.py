@@ -7,11 +7,11 @@ import pycolmap
 import pytest
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.labels.entry.label import add_model, add_object, set_pose
 from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.poses.publish import SPARSE, publish_model, rescaled_poses, work_folder
 from std_toolkit.scene import Scene
-from std_toolkit.scene.document import is_fresh, write_record
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 FACTOR = 0.98
@@ -32,7 +32,7 @@ def reconstructed(scene):
     with work_folder(scene.root) as work:
         written = publish_model(scene.root, model, work)
     outputs = [scene.root / "poses.json", *written]
-    write_record(scene.root, "poses", "digest", outputs=outputs, parameters={})
+    Artefact(scene.root, "poses", {}).write(outputs)
     return scene
 
 
@@ -58,14 +58,14 @@ def test_cameras_and_points_are_scaled_alike(reconstructed):
 
 def test_the_step_that_made_the_poses_stays_done(reconstructed):
     with rescaled_poses(reconstructed, FACTOR, REPORT):
-        assert not is_fresh(reconstructed.root, "poses", "digest")
-    assert is_fresh(reconstructed.root, "poses", "digest")
+        assert not Artefact(reconstructed.root, "poses", {}).is_kept()
+    assert Artefact(reconstructed.root, "poses", {}).is_kept()
 
 
 def test_a_run_that_dies_in_between_recovers_the_poses_again(reconstructed):
     with pytest.raises(KeyboardInterrupt), rescaled_poses(reconstructed, FACTOR, REPORT):
         raise KeyboardInterrupt
-    assert not is_fresh(reconstructed.root, "poses", "digest")
+    assert not Artefact(reconstructed.root, "poses", {}).is_kept()
 
 
 def test_poses_of_unknown_unit_carry_no_labels(scene, box_path):

@@ -85,6 +85,7 @@ def test_the_board_annotated_in_one_frame_fits_in_all(tabletop, tmp_path):
         X, uv = board.see(tabletop.read_color(frame))
         T = tabletop.T_cam_obj(frame.id, thing.id)
         errors.append(np.linalg.norm(tabletop.camera(frame).project(T @ X) - uv, axis=1))
+    print("median px:", np.median(np.concatenate(errors)))
     assert len(errors) >= 75
     assert np.median(np.concatenate(errors)) <= 1.5
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pycolmap
 import pytest
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.poses.camera_file import read_cameras
 from std_toolkit.poses.colmap import (
     from_colmap_camera,
     from_colmap_pixels,
@@ -33,6 +37,50 @@ def test_projection_agrees_to_a_hundredth_of_a_pixel(distortion: tuple[float, ..
     assert np.abs(from_colmap_pixels(theirs) - camera.project(points)).max() < 1e-6
     back = from_colmap_camera(to_colmap_camera(camera, 1))
     assert np.allclose(back.project(points), camera.project(points), atol=1e-9)
+
+
+MODELS = {
+    "SIMPLE_PINHOLE": (600, 322.5, 236.5),
+    "PINHOLE": (600, 605, 322.5, 236.5),
+    "SIMPLE_RADIAL": (600, 322.5, 236.5, -0.1),
+    "RADIAL": (600, 322.5, 236.5, -0.1, 0.05),
+    "OPENCV": (600, 605, 322.5, 236.5, -0.1, 0.05, 0.001, -0.002),
+    "FULL_OPENCV": (600, 605, 322.5, 236.5, -0.1, 0.05, 0.001, -0.002, 0.01, 0.02, -0.01, 0.005),
+    "SIMPLE_FISHEYE": (600, 322.5, 236.5),
+    "FISHEYE": (600, 605, 322.5, 236.5),
+    "SIMPLE_RADIAL_FISHEYE": (600, 322.5, 236.5, 0.03),
+    "RADIAL_FISHEYE": (600, 322.5, 236.5, 0.03, 0.005),
+    "OPENCV_FISHEYE": (600, 605, 322.5, 236.5, 0.03, 0.005, 0.0007, 0.0001),
+}
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_each_model_of_colmap_projects_as_colmap_does(model: str) -> None:
+    params = np.array(MODELS[model], float)
+    theirs = pycolmap.Camera(model=model, width=640, height=480, params=params, camera_id=1)
+    ours = from_colmap_camera(theirs)
+    points = np.random.default_rng(0).uniform([-0.5, -0.4, 0.9], [0.5, 0.4, 1.2], size=(200, 3))
+    expected = from_colmap_pixels(theirs.img_from_cam(points))
+    assert np.abs(ours.project(points) - expected).max() < 1e-6
+    again = to_colmap_camera(ours, 1)
+    assert np.abs(from_colmap_pixels(again.img_from_cam(points)) - expected).max() < 1e-6
+    rays = ours.unproject(expected)
+    assert np.allclose(rays, points / points[:, 2:], atol=1e-8)
+
+
+@pytest.mark.parametrize("model", ["THIN_PRISM_FISHEYE", "FOV", "EUCM", "DIVISION"])
+def test_other_models_of_colmap_are_refused_by_name(model: str, tmp_path: Path) -> None:
+    number = pycolmap.CameraModelId.__members__[model]
+    theirs = pycolmap.Camera.create_from_model_id(1, number, 500, 640, 480)
+    with pytest.raises(ToolkitError, match=model):
+        from_colmap_camera(theirs)
+    scene = pycolmap.Reconstruction()
+    scene.add_camera_with_trivial_rig(theirs)
+    image = pycolmap.Image(name="0.png", camera_id=1, image_id=1)
+    scene.add_image_with_trivial_frame(image, to_rigid3d(SE3.identity()))
+    scene.write(tmp_path)
+    with pytest.raises(ToolkitError, match=rf"{tmp_path.name}.*{model}"):
+        read_cameras(tmp_path)
 
 
 def test_detected_blob_is_at_its_centre() -> None:

@@ -12,7 +12,7 @@ import trimesh
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import mesh_diameter, mesh_extents
 from std_toolkit.io.images import write_color, write_depth_png16
-from std_toolkit.rendering.choose import find_gl, get_renderer
+from std_toolkit.rendering.choose import get_renderer
 from std_toolkit.rendering.maps import render_scene_maps
 from std_toolkit.rendering.renderer import RENDERERS, PlacedMesh, Renderer
 from std_toolkit.scene.model import (
@@ -29,6 +29,7 @@ from std_toolkit.scene.model import (
     SceneInfo,
 )
 from std_toolkit.scene.scene import Scene
+from tests.skips import need_gl
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 161.3, 118.6)
 TABLE_Z = 0.05
@@ -37,8 +38,8 @@ TABLE_Z = 0.05
 @pytest.fixture(params=RENDERERS.names())
 def renderer(request: pytest.FixtureRequest) -> Renderer:
     """Every registered renderer by turns; pyrender only where GL works."""
-    if request.param == "pyrender" and find_gl()[0] is None:
-        pytest.skip(f"no GL context: {find_gl()[1]}")
+    if request.param == "pyrender":
+        need_gl()
     return get_renderer(request.param)
 
 

@@ -10,11 +10,12 @@ import trimesh
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.rendering.choose import find_gl, get_renderer
+from std_toolkit.rendering.choose import get_renderer
 from std_toolkit.rendering.maps import Maps, object_silhouette, render_scene_maps
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import PlacedMesh, Raster, Renderer, Window, image_window
+from tests.skips import need_gl
 
 CAMERA = Camera(640, 480, 600.0, 605.0, 322.3, 236.8)
 BALL_CENTRE = np.array([-0.06, 0.02, 0.7])
@@ -104,8 +105,7 @@ def test_box_normals_keep_their_edges(maps: Maps) -> None:
 
 
 def test_renderers_agree() -> None:
-    if find_gl()[0] is None:
-        pytest.skip("no GL context")
+    need_gl()
     a, b = (render_scene_maps(get_renderer(n), CAMERA, ball_and_box()) for n in RENDERERS)
     for object_id in (1, 9):
         one, other = a.mask == object_id, b.mask == object_id
@@ -246,8 +246,7 @@ def test_distortion_is_exact_in_the_ray_caster() -> None:
 
 
 def test_pyrender_refuses_distortion() -> None:
-    if find_gl()[0] is None:
-        pytest.skip("no GL context")
+    need_gl()
     lens = Camera(640, 480, 600.0, 605.0, 322.3, 236.8, (-0.25, 0.08, 0.0, 0.0))
     with pytest.raises(ToolkitError, match="pinhole"):
         render_scene_maps(get_renderer("pyrender"), lens, ball_and_box())

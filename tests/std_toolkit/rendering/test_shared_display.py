@@ -5,25 +5,23 @@ from __future__ import annotations
 import gc
 import subprocess
 import sys
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
 import trimesh
 
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.rendering.choose import find_gl
 from std_toolkit.rendering.mesh import prepare_mesh
 from std_toolkit.rendering.pyrender_renderer import PyrenderRenderer
 from std_toolkit.rendering.renderer import image_window
+from tests.skips import need_gl
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 
 
 @pytest.fixture(autouse=True)
 def _only_on_egl() -> None:
-    if find_gl()[0] != "egl":
-        pytest.skip(f"no EGL here: {find_gl()[1]}")
+    need_gl("egl")
 
 
 def depth_of_a_box(renderer: PyrenderRenderer) -> np.ndarray:
@@ -63,8 +61,7 @@ print(before[23, 31])
 
 @pytest.mark.slow
 def test_a_window_of_vtk_that_closes_ends_no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
-    if find_spec("vtkmodules") is None:
-        pytest.skip("the extras gui and web are not installed: no VTK")
+    pytest.importorskip("vtkmodules", reason="the extras gui and web are not installed")
     monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     run = subprocess.run([sys.executable, "-c", WITH_VTK], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr

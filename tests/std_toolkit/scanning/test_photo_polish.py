@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("numba")
-
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.scanning.surface.photo_polish import fit_photos
 from std_toolkit.scanning.surface.polish import averaging

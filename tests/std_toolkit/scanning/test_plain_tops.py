@@ -7,7 +7,6 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3

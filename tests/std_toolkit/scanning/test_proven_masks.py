@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError

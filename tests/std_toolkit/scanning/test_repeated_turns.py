@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3, so3_exp

@@ -81,7 +81,7 @@ def test_rim_that_only_photos_from_above_show(start_m: float) -> None:
         points.append(uv + rng.normal(0, 0.4, uv.shape))
     found = fit_outline_points(
         views, points, centre=CENTRE[:2], heights=np.array([0, 0.03, start_m]),
-        radii=np.array([0.026, 0.022, 0.03]),
+        radii=np.array([0.026, 0.022, 0.03]), most_outside=0.1,
     )  # fmt: skip
     assert found.heights[-1] == pytest.approx(0.09, abs=1e-3)
     assert found.radii[-1] == pytest.approx(0.03, abs=1e-3)

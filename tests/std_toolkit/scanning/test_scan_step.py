@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
@@ -25,7 +24,6 @@ from std_toolkit.scanning.board.board_photos import board_pose, calibrate, check
 from std_toolkit.scanning.masks import object_masks
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos.photos import blurred_photos
-from std_toolkit.scanning.stages import Stages
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views, look_at
 
 SERIAL = JobOptions(engine="serial", workers=1)
@@ -82,25 +80,6 @@ def test_a_painted_ball_is_scanned_and_the_scan_resumes(
     assert np.array_equal(again.vertices, done.vertices)
 
 
-def test_a_stage_is_made_again_if_its_inputs_changed_or_its_file_is_damaged(tmp_path: Path) -> None:
-    stages = Stages(tmp_path)
-    made = []
-
-    def make() -> dict[str, np.ndarray]:
-        made.append(1)
-        return {"x": np.arange(3)}
-
-    first = stages.arrays("part", "a" * 64, make)
-    assert np.array_equal(stages.arrays("part", "a" * 64, make)["x"], first["x"])
-    assert len(made) == 1
-    stages.arrays("part", "b" * 64, make)
-    assert len(made) == 2
-    (kept,) = tmp_path.glob("part-*.npz")
-    kept.write_bytes(kept.read_bytes()[:60])
-    stages.arrays("part", "b" * 64, make)
-    assert len(made) == 3
-
-
 def test_too_few_photos(tmp_path: Path) -> None:
     write_photos(tmp_path / "photos", 5)
     with pytest.raises(ToolkitError, match=r"5 photos are too few.*40 to 60"):
@@ -109,7 +88,7 @@ def test_too_few_photos(tmp_path: Path) -> None:
 
 def test_without_board_and_cameras_the_size_is_unknown(tmp_path: Path) -> None:
     write_photos(tmp_path / "photos", 8)
-    with pytest.raises(ToolkitError, match=r"nothing tells the size.*--board"):
+    with pytest.raises(ToolkitError, match=r"scale is unknown: no board.*--board"):
         scan_step.scan(options_for(tmp_path, known=KnownCameras()))
 
 
@@ -229,7 +208,7 @@ def test_a_ball_is_a_surface_of_revolution() -> None:
     assert "outline residual" in posed.facts
     options = scan_step.ScanOptions(photos=Path("photos"), out=Path("out"), revolve=True)
     with pytest.raises(ToolkitError, match="needs the board"):
-        scan_step._vessel(options, replace(posed, on_table=False), scan_step.Stages(Path("x")), 1)
+        scan_step._vessel(options, replace(posed, on_table=False), Path("x"), 1)
 
 
 def test_blurred_photos_are_found(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
@@ -19,7 +18,6 @@ from std_toolkit.scanning import scan_step
 from std_toolkit.scanning.photos.photos import Photos, is_scene, scene_photos
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
-from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface.depth_maps import depth_maps
 from std_toolkit.scanning.surface.measured_surface import Side, fused_surface, measure_side
 from std_toolkit.scene import CameraModel, Frames, ObjectTable, Scene, SceneInfo
@@ -72,7 +70,7 @@ def side_of(views: list[View], folder: Path) -> tuple[Side, PosedPhotos]:
         warnings=[], digest="", photos=Photos((), (), (240, 180), 1.0),
     )  # fmt: skip
     folder.mkdir()
-    side = measure_side(OPTIONS, posed, views, depth_maps, Stages(folder), 1, lambda _: None)
+    side = measure_side(OPTIONS, posed, views, depth_maps, folder, 1, lambda _: None)
     return side, posed
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.geometry import SE3

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("numba")
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
@@ -22,7 +21,6 @@ from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos.photos import Photos
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import Array, View
-from std_toolkit.scanning.stages import Stages
 from std_toolkit.scanning.surface.depth_maps import depth_maps
 from std_toolkit.scanning.surface.measured_surface import (
     Side,
@@ -85,7 +83,7 @@ def side(views: list[View], folder: Path) -> Side:
         warnings=[], digest="", photos=Photos((), (), (240, 180), 1.0),
     )  # fmt: skip
     folder.mkdir()
-    return measure_side(OPTIONS, posed, views, depth_maps, Stages(folder), 1, lambda _: None)
+    return measure_side(OPTIONS, posed, views, depth_maps, folder, 1, lambda _: None)
 
 
 OPTIONS = ScanOptions(photos=Path("a"), out=Path("o"), voxels=70, faces=6000, neighbours=4)

@@ -40,14 +40,14 @@ def written(tmp_path_factory) -> dict[str, Path]:
 
     from std_toolkit.checks.check_step import run_check
     from std_toolkit.exporters import export_scene
+    from std_toolkit.jobs.artefact import Artefact
     from std_toolkit.options import CheckOptions
     from std_toolkit.scene import Annotation, ObjectAnnotation
-    from std_toolkit.scene.document import write_record
 
     folder = tmp_path_factory.mktemp("documents")
     scene = make_scene(folder / "scene", frames=2, unregistered=[1], size=(64, 48))
     export_scene(scene, "std", folder / "std", jobs=SERIAL)
-    write_record(scene.root, "demo", "0" * 32, outputs=[scene.root / "frames.json"], parameters={})
+    Artefact(scene.root, "demo", {"images": "0" * 32}).write([scene.root / "frames.json"])
     run_check(scene, CheckOptions(max_frames=1), SERIAL)
     scene.save_annotation(Annotation(objects=[ObjectAnnotation(object=1, status="done")]))
     names = ("scene", "frames", "objects", "poses", "labels", "annotation")

@@ -16,6 +16,7 @@ from benchmark.data.frame import resize_nearest
 from benchmark.methods import protocol, registry, weights
 from benchmark.methods.depth.cleargrasp import cleargrasp_network, global_optimization
 from benchmark.methods.network import NetworkRestorer, torch_device
+from std_toolkit import plugins
 from std_toolkit.errors import ToolkitError
 
 _TRANSPARENT = 1  # class of the mask
@@ -34,7 +35,7 @@ class ClearGrasp(NetworkRestorer):
     """
 
     def __init__(self, options: registry.MethodOptions) -> None:
-        self.config = registry.configured(
+        self.config = plugins.configured(
             registry.preset_of(cleargrasp_network.PRESETS, options.preset), options.settings
         )
         torch_device(options.device)

@@ -239,7 +239,7 @@ class ClearGraspConfig:
 
     Attributes:
         mask: which measurements are dropped. `predicted` asks the network for the pixels of
-            transparent objects, as published; `given` those that the method is told, which are of
+            transparent objects, as published; `given` those that the method receives, which are of
             transparent and specular objects.
         grow_px: by how many pixels of the optimised image the mask is widened.
         width: channels of the first layer of a backbone; the last ones have 32 times as many.

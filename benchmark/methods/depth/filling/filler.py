@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions, configured
+from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.plugins import configured
 
 Number = TypeVar("Number", bound=np.generic)
 

@@ -21,7 +21,7 @@ class LIDFConfig:
     """LIDF; the defaults are the published network.
 
     Attributes:
-        predict: `all` predicts every pixel anew, as the published evaluation does; `missing` keeps
+        predict: `all` predicts every pixel, as the published evaluation does; `missing` keeps
             what the sensor measured and is believed.
         mask: what is believed. `objects` drops the measurements on transparent and specular
             objects, which the method must be told, as in the published evaluation; `holes`

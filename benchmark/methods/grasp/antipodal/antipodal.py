@@ -18,11 +18,12 @@ from benchmark.methods.grasp.antipodal.hands import (
 )
 from benchmark.methods.grasp.antipodal.surface import surface_of, table_of
 from benchmark.methods.protocol import GraspView
-from benchmark.methods.registry import MethodOptions, configured
+from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
 from benchmark.metrics.grasp.gripper import GRIPPERS
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.plugins import configured
 
 Floats = NDArray[np.float64]
 

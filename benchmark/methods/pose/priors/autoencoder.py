@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from benchmark.methods.network import torch_device
-from benchmark.methods.pointnet.chamfer import chamfer
+from benchmark.methods.pointnet.grouping import chamfer
 from benchmark.methods.pointnet.layers import SharedMLP
 from std_toolkit.errors import ToolkitError
 

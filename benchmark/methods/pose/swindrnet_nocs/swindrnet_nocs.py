@@ -13,11 +13,13 @@ from pathlib import Path
 from torch import Tensor
 
 from benchmark.methods import weights
-from benchmark.methods.pose.pose_network import Found, NetworkEstimator, points_of
+from benchmark.methods.pose.pose_network import Found, NetworkEstimator
 from benchmark.methods.pose.swindrnet_nocs import swindrnet_nocs_network
 from benchmark.methods.pose.swindrnet_nocs.instances import segments_of
 from benchmark.methods.pose.swindrnet_nocs.trunk_network import TrunkNOCSNetwork
-from benchmark.methods.registry import MethodOptions, configured, preset_of
+from benchmark.methods.registry import MethodOptions, preset_of
+from benchmark.methods.torch_camera import points_of
+from std_toolkit.plugins import configured
 
 _LAST = ".conv_seg.weight"
 

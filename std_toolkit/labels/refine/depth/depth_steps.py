@@ -20,6 +20,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine.depth.observed import ObservedRays, ObservedView
 from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.labels.refine.problem import RefineObject
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -43,8 +44,15 @@ _PRIOR_M, _PRIOR_RAD = 0.02, 0.15
 
 _PIXELS_PER_VIEW = 20_000
 
-# A reading agrees with the surface if it is this close along the ray: metres, fraction of range.
-_CLOSE_M, _CLOSE_SHARE = 0.005, 0.01
+
+@dataclass(frozen=True, kw_only=True)
+class DepthReadingSettings(Settings):
+    """When a reading of the sensor agrees with a surface."""
+
+    close_m: float = limit(0.005, unit="m", source=NOT_RECORDED)
+    """largest distance along the ray at which a reading agrees"""
+    close_share: float = limit(0.01, source=NOT_RECORDED)
+    """the same as a fraction of the range; the larger of both counts"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +224,7 @@ def measure_depth(
     Args:
         depth_factor: true depth = depth_factor * sensor depth.
     """
+    limits = DepthReadingSettings.current()
     shown = 0
     ratio = 0.0
     along: list[NDArray[np.float64]] = []
@@ -233,7 +242,9 @@ def measure_depth(
         ratio = max(ratio, view.sensor.size / max(len(pixels.uv), 1))
         along.append(np.abs(gap))
         across.append(gap * np.einsum("ij,ij->i", rays, hits.normal[read]))
-        close.append(np.abs(gap) < np.maximum(_CLOSE_M, _CLOSE_SHARE * hits.depth[read]))
+        close.append(
+            np.abs(gap) < np.maximum(limits.close_m, limits.close_share * hits.depth[read])
+        )
     gaps = np.concatenate(along) if along else np.empty(0)
     if not len(gaps):
         return DepthAgreement(float("nan"), float("nan"), 0.0, 0.0, 0)

@@ -24,27 +24,37 @@ from std_toolkit.labels.refine.depth.pose_search import THOROUGH, SearchRange, s
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.scene.scale_model import SOURCE_ERRORS
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
 # Largest error of a start: metres, and fraction of the object's radius.
 _REACH_M, _REACH = 0.05, 0.5
-# Smallest number of readings on the object for a depth fit.
-_FEWEST_READINGS = 60
 # From views this far apart edges determine the distance, and with it the sensor depth factor.
 _PARALLAX = np.deg2rad(15)
 _FIXED_FACTOR_STD = 0.001
 # Prior of the depth factor in one view, in which edges cannot correct depth.
 _DEPTH_SAMPLES = 5.0
-# Edges that move the pose from depth farther than this follow another contour.
-_LARGEST_FINISH_M, _LARGEST_FINISH = 0.03, np.deg2rad(20)
-_LARGEST_LOSS = 0.1
-# Most starts miss an object that is thinner than `_THIN` of the reach: its search is repeated with
-# more starts if the pose explains less than `_DOUBTFUL` of the readings. For a thicker object it
-# is not, because more starts would find another object of a similar shape.
-_THIN, _DOUBTFUL = 0.5, 0.88
-# Below this fraction of explained readings the fit is not converged.
-_SMALLEST_EXPLAINED = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthFitSettings(Settings):
+    """When a fit to sensor depth is accepted."""
+
+    fewest_readings: int = limit(60, source=NOT_RECORDED)
+    """readings on the object that a fit needs"""
+    largest_finish_m: float = limit(0.03, unit="m", source=NOT_RECORDED)
+    """edges that move the pose from depth farther follow another contour"""
+    largest_finish: float = limit(np.deg2rad(20), unit="rad", source=NOT_RECORDED)
+    """edges that turn the pose from depth by more follow another contour"""
+    largest_loss: float = limit(0.1, source=NOT_RECORDED)
+    """edges that lower the fraction of explained readings by more are not followed"""
+    thin: float = limit(0.5, source="most starts miss a thin object")
+    """an object that is thinner than this part of the reach is searched again with more starts"""
+    doubtful: float = limit(0.88, source=NOT_RECORDED)
+    """the same only if its pose explains a smaller fraction of the readings"""
+    smallest_explained: float = limit(0.5, source=NOT_RECORDED)
+    """a fit that explains a smaller fraction of the readings has not converged"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +127,7 @@ def refine_on_depth(
     Raises:
         ToolkitError: no views, the object is out of view, or there is no depth (on it).
     """
+    limits = DepthFitSettings.current()
     options = options or DepthFitOptions()
     progress(0)
     searched = 0.7 if options.use_edges else 1.0
@@ -130,13 +141,13 @@ def refine_on_depth(
     )
     agreement = depth_steps.measure_depth(surface, observed, pose)
     if (
-        agreement.readings >= _FEWEST_READINGS
-        and agreement.explained < _DOUBTFUL
-        and surface.thickness < _THIN * reach_m
+        agreement.readings >= limits.fewest_readings
+        and agreement.explained < limits.doubtful
+        and surface.thickness < limits.thin * reach_m
     ):
         pose = search_pose(obj, surface, observed, search, effort=THOROUGH, known=[pose])
         agreement = depth_steps.measure_depth(surface, observed, pose)
-    if agreement.readings < _FEWEST_READINGS:
+    if agreement.readings < limits.fewest_readings:
         raise ToolkitError(
             f"the sensor has no depth on {obj.name}",
             hint="glass and metal have none: refine it on the edges of several frames; "
@@ -169,7 +180,7 @@ def refine_on_depth(
         None,
         len(observed),
         1.0,
-        agreement.explained >= _SMALLEST_EXPLAINED,
+        agreement.explained >= limits.smallest_explained,
     )
 
 
@@ -196,6 +207,7 @@ def depth_agreement(
 def _check(
     views: Sequence[problem.RefineView], obj: problem.RefineObject, observed: Sequence[ObservedView]
 ) -> None:
+    limits = DepthFitSettings.current()
     if not views:
         raise ToolkitError("a refinement needs at least one view")
     if all(v.depth is None for v in views):
@@ -209,7 +221,7 @@ def _check(
             f"{obj.name} is out of view",
             hint="move the object onto its image first",
         )
-    if sum(int((o.sensor > 0).sum()) for o in observed) < _FEWEST_READINGS:
+    if sum(int((o.sensor > 0).sum()) for o in observed) < limits.fewest_readings:
         raise ToolkitError(
             f"there is no sensor depth around {obj.name}",
             hint="refine on the edges of several frames instead",
@@ -227,6 +239,7 @@ def _finish(
     progress: problem.Progress,
 ) -> DepthFit | None:
     """The pose refined with edges; None if they make it worse."""
+    limits = DepthFitSettings.current()
     around = _apart(views, found) > _PARALLAX
     if around:
         options = problem.RefineOptions(search_px=24)
@@ -249,8 +262,8 @@ def _finish(
     if (
         edges.views == 0
         or moved_too_far(found, edges.T_world_obj)
-        or after.readings < _FEWEST_READINGS
-        or after.explained < before.explained - _LARGEST_LOSS
+        or after.readings < limits.fewest_readings
+        or after.explained < before.explained - limits.largest_loss
     ):
         return None
     covariance, weak_direction = edges.covariance, edges.weak_direction
@@ -274,7 +287,7 @@ def _finish(
         edges.edge_rms_px,
         len(observed),
         result.depth_factor if around else 1.0,
-        after.explained >= _SMALLEST_EXPLAINED,
+        after.explained >= limits.smallest_explained,
     )
 
 
@@ -289,9 +302,10 @@ def _sensor_spread(views: Sequence[problem.RefineView], obj: problem.RefineObjec
 
 def moved_too_far(obj: problem.RefineObject, T_world_obj: SE3) -> bool:
     """Whether a pose is too far from the pose by depth to be a refinement of it."""
+    limits = DepthFitSettings.current()
     step = T_world_obj @ obj.centre - obj.T_world_obj @ obj.centre
     turn = rotation_error(T_world_obj, obj.T_world_obj, obj.symmetry)
-    return bool(np.linalg.norm(step) > _LARGEST_FINISH_M or turn > _LARGEST_FINISH)
+    return bool(np.linalg.norm(step) > limits.largest_finish_m or turn > limits.largest_finish)
 
 
 def _apart(views: Sequence[problem.RefineView], obj: problem.RefineObject) -> float:

@@ -21,6 +21,7 @@ from std_toolkit.labels.refine.depth.depth_steps import icp
 from std_toolkit.labels.refine.depth.observed import ObservedPixels, ObservedRays, ObservedView
 from std_toolkit.labels.refine.object_surface import ObjectSurface, color_agreement
 from std_toolkit.labels.refine.problem import Progress, RefineObject, no_progress
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,6 @@ _SHORT = (0.05, 0.05, 0.03, 0.03, 0.015, 0.015)
 
 _FULL = (0.03, 0.02, 0.015, *[0.008] * 8)
 
-# A fit may leave the range of the starts by this factor; beyond, it must be clearly better.
-_LEEWAY = 1.3
 
 # Rotations about the axes of the bounding box: for the shape, and for the texture on it.
 _PLAIN_TURNS = np.deg2rad([90, 180, 270])
@@ -45,17 +44,10 @@ _TEXTURE_TURNS = np.deg2rad(np.arange(15, 360, 15))
 
 _TEXTURE_FITS = 4
 
-# A rotated pose is considered if it explains the depth worse by at most the first figure. It
-# replaces the other only if it is better by the second, because a start from the wrong side is
-# unlikely. In fractions of the object's pixels.
-_TURN_SLACK, _TURN_MARGIN = 0.15, 0.15
 
 # Weight of full texture agreement, in fractions of the object's pixels.
 _TEXTURE = 1.0
 
-# Below this correlation it is ignored: light, gloss and products with another texture agree by as
-# much by chance.
-_CHANCE = 0.3
 
 # Cost of a rotation from the start, per 1 - cos(angle): half a turn costs 6 % of the pixels.
 _TURN = 0.03
@@ -69,6 +61,24 @@ _UNLABELLED = 0.7
 
 # Cost of a pixel that the object does not cover where the background is unknown.
 _UNKNOWN = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSearchSettings(Settings):
+    """Which pose of a search on sensor depth wins."""
+
+    leeway: float = limit(1.3, source=NOT_RECORDED)
+    """factor by which a fit may leave the range of the starts; beyond, it must be clearly better"""
+    turn_slack: float = limit(0.15, source=NOT_RECORDED)
+    """a rotated pose that explains the depth worse by more, in fractions of the object's
+    pixels, is not considered"""
+    turn_margin: float = limit(0.15, source="a start from the wrong side is unlikely")
+    """a rotated pose must be better by this to replace the other"""
+    chance: float = limit(
+        0.3,
+        source="light, gloss and products with another texture agree by as much by chance",
+    )
+    """a smaller correlation of the texture is ignored"""
 
 
 @dataclass(frozen=True)
@@ -108,10 +118,11 @@ class SearchRange:
 
     def holds(self, obj: RefineObject, T_world_obj: SE3) -> bool:
         """Whether a pose is about within the range around the object's start."""
+        limits = PoseSearchSettings.current()
         start = obj.T_world_obj
         shift = np.linalg.norm(T_world_obj @ obj.centre - start @ obj.centre)
         turn = rotation_error(T_world_obj, start, obj.symmetry)
-        return bool(shift < _LEEWAY * self.reach_m and turn < _LEEWAY * self.turn)
+        return bool(shift < limits.leeway * self.reach_m and turn < limits.leeway * self.turn)
 
 
 def search_pose(
@@ -130,6 +141,7 @@ def search_pose(
         known: fitted poses to compare with at the end.
         progress: called with the completed fraction.
     """
+    limits = PoseSearchSettings.current()
     coarse = [o.thinned(_share(_COARSE, observed)) for o in observed]
     fine = [o.thinned(_share(_FINE, observed)) for o in observed]
     coarse_rays, fine_rays = ObservedRays.of(coarse), ObservedRays.of(fine)
@@ -156,7 +168,7 @@ def search_pose(
         for T in _rivals(obj, surface, best, coarse_rays, middle)[:_FULL_FITS]
     ]
     rival = min(full, key=lambda T: scorer(T).total)
-    return rival if scorer(rival).total < scorer(best).total - _TURN_MARGIN else best
+    return rival if scorer(rival).total < scorer(best).total - limits.turn_margin else best
 
 
 def _rivals(
@@ -170,7 +182,7 @@ def _rivals(
     turned = _turned(best, obj.centre, _PLAIN_TURNS)
     rivals = [icp(surface, obj, sensor_rays, T, gates_m=_SHORT) for T in turned]
     if obj.colors is not None:
-        limit = scorer.depth(best) + _TURN_SLACK
+        limit = scorer.depth(best) + PoseSearchSettings.current().turn_slack
         textured = _turned(best, obj.centre, _TEXTURE_TURNS)
         fitting = [T for T in textured if scorer.depth(T) < limit]
         fitting.sort(key=scorer.texture, reverse=True)
@@ -243,7 +255,7 @@ class PoseScorer:
         """Cost of the depth per pixel of the object at its start."""
         return self._cost(T_world_obj) / self._area
 
-    def print(self, T_world_obj: SE3) -> float:
+    def texture(self, T_world_obj: SE3) -> float:
         """Agreement of the mesh's colours with the images; see `color_agreement`."""
         if self._obj.colors is None:
             return 0.0
@@ -266,7 +278,7 @@ class PoseScorer:
         centre = self._obj.centre
         shift = float(np.linalg.norm(T_world_obj @ centre - start @ centre))
         strayed = _TURN * (1 - float(np.cos(turn))) + _BEYOND * max(shift / self._reach - 1, 0.0)
-        worth = _TEXTURE * max(agreement - _CHANCE, 0.0)
+        worth = _TEXTURE * max(agreement - PoseSearchSettings.current().chance, 0.0)
         return PoseScore(depth, agreement, depth - worth + strayed)
 
     def _shown(self, T_world_obj: SE3) -> int:

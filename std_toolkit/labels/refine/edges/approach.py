@@ -20,6 +20,7 @@ from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.edges import edge_search
 from std_toolkit.labels.refine.edges.descent import descend
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # The search ends within this fraction of an object's size in the image.
 _LEFT = 0.08
@@ -28,8 +29,6 @@ _JUDGED = edge_search.ScoreLevel(pixels=100, tolerance=1.0)
 
 _CANDIDATES = 3
 
-# Wrong poses of faint objects score less, right ones more.
-_CONVINCING = 0.55
 
 # Two starts that end within this fraction of the object's radius have the same result.
 _SAME = 0.03
@@ -38,7 +37,7 @@ _SAME = 0.03
 # score is within a margin of the best; and the margin by which one must be better.
 _TURNS = np.deg2rad(np.arange(0, 360, 15))
 
-_TURNS_FOLLOWED, _TURN_SLACK, _TURN_GAIN = 3, 0.15, 0.08
+_TURNS_FOLLOWED = 3
 
 Array = NDArray[np.float64]
 
@@ -48,10 +47,28 @@ _SIDEWAYS = 0.5
 # A face belongs to the round body if its normal passes the axis within this fraction of the radius.
 _CLOSE = 0.03
 
-# Range of the round fraction of the lateral surface: less is another shape, more is fully round.
-_ROUND, _WHOLLY_ROUND = 0.6, 0.985
 
 _ROUNDS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApproachSettings(Settings):
+    """Which pose of a search on edges wins."""
+
+    convincing: float = limit(
+        0.55,
+        source="wrong poses of faint objects score less, right ones more",
+    )
+    """score at which the search ends"""
+    turn_slack: float = limit(0.15, source=NOT_RECORDED)
+    """turns about the axis of a nearly round object that score worse than the best by more are
+    left out"""
+    turn_gain: float = limit(0.08, source=NOT_RECORDED)
+    """a turn must be better by this to replace the pose"""
+    round: float = limit(0.6, source="less is another shape")
+    """smallest round fraction of the lateral surface of a nearly round object"""
+    wholly_round: float = limit(0.985, source=NOT_RECORDED)
+    """an object with a larger round fraction has no turn to find"""
 
 
 def approach(
@@ -105,7 +122,7 @@ def approach(
                 if _agreed(tried, obj):
                     break
             best = max(tried, key=lambda t: t.score)
-            if best.score > _CONVINCING:
+            if best.score > ApproachSettings.current().convincing:
                 break
         share(0.9)
         at = replace(obj, T_world_obj=best.T_world_obj)
@@ -162,7 +179,7 @@ def _search_turns(
         followed.append(_follow(views, start, others, options, layers))
     evidence = scorer.evidence(followed)
     # A part that is hidden in both poses is no evidence: the pose is kept.
-    clear = evidence.max() > evidence[0] + _TURN_GAIN
+    clear = evidence.max() > evidence[0] + ApproachSettings.current().turn_gain
     return followed[int(evidence.argmax())] if clear else obj.T_world_obj
 
 
@@ -173,7 +190,7 @@ def _peaks(scores: NDArray[np.float64]) -> list[int]:
         scores: (N,) evidence around a circle; the first is that of the current pose.
     """
     peak = (scores >= np.roll(scores, 1)) & (scores > np.roll(scores, -1))
-    peak &= scores > scores.max() - _TURN_SLACK
+    peak &= scores > scores.max() - ApproachSettings.current().turn_slack
     chosen = [int(k) for k in np.flatnonzero(peak) if k > 0]
     return sorted(chosen, key=lambda k: -scores[k])[:_TURNS_FOLLOWED]
 
@@ -202,7 +219,7 @@ def _agreed(tried: Sequence[_Converged], obj: problem.RefineObject) -> bool:
     """Whether the last pose confirms the best with a high score, so that the search can stop."""
     *before, last = tried
     best = max(before, key=lambda t: t.score)
-    if min(best.score, last.score) < _CONVINCING:
+    if min(best.score, last.score) < ApproachSettings.current().convincing:
         return False
     shift = np.linalg.norm(best.T_world_obj @ obj.centre - last.T_world_obj @ obj.centre)
     turn = rotation_error(best.T_world_obj, last.T_world_obj, obj.symmetry)
@@ -250,6 +267,7 @@ def near_symmetry(obj: problem.RefineObject) -> Axis | None:
 
     None also for an object that is declared symmetric: its shape does not determine the rotation.
     """
+    limits = ApproachSettings.current()
     if obj.symmetry.continuous:
         return None
     corners = obj.vertices[obj.faces]
@@ -270,7 +288,7 @@ def near_symmetry(obj: problem.RefineObject) -> Axis | None:
         point = _common_point(across, x, weight, _CLOSE * obj.radius)
         miss = np.abs((across * (x - point)).sum(axis=1))
         share = float(weight[miss < _CLOSE * obj.radius].sum() / weight.sum())
-        if _ROUND < share < _WHOLLY_ROUND:
+        if limits.round < share < limits.wholly_round:
             place = obj.centre.copy()
             place[[i, j]] = point
             found.append((share, Axis(np.eye(3)[k], place)))

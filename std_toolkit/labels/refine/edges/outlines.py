@@ -152,8 +152,8 @@ class OutlineCaster:
         All are in the object frame, without the margin of the patches.
         """
         inside = slice(_MARGIN, -_MARGIN)
-        x = ((u[:, inside] - camera.cx) / camera.fx).astype(np.float32)
-        y = ((v[:, inside] - camera.cy) / camera.fy).astype(np.float32)
+        across, down = camera.pinhole_rays(u[:, inside], v[:, inside])
+        x, y = across.astype(np.float32), down.astype(np.float32)
         rays = np.empty((len(R), y.shape[1], x.shape[1], 6), np.float32)
         eye = -np.einsum("nji,nj->ni", R, t) - self._surface.centre
         R32 = np.ascontiguousarray(R, np.float32)

@@ -10,7 +10,7 @@ without the factor the labels would move by as much. Rough starts need a search 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,16 +23,23 @@ from std_toolkit.labels.refine.edges.measure import Level, PoseState, coarse_to_
 from std_toolkit.labels.refine.edges.restarts import end_elsewhere
 from std_toolkit.labels.refine.edges.texture_matches import follow_textures
 from std_toolkit.labels.refine.edges.uncertainty import pose_covariances
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Distance of the edges after a search; at lower resolutions glass and metal would diverge again.
 # Objects that are not rough are as near.
 _APPROACHED_PX = 20.0
-# Largest last step of a refinement that converged.
-_CONVERGED_MM = 0.5
 # Fraction of the time after which the last level is repeated from other starts.
 _RESTARTED = 0.9
 # Time of the search for an object, in units of its edge refinement.
 _SEARCH = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvergenceSettings(Settings):
+    """When a joint refinement has converged."""
+
+    last_step_mm: float = limit(0.5, unit="mm", source=NOT_RECORDED)
+    """largest last step at the surface"""
 
 
 def refine_poses(
@@ -127,6 +134,7 @@ def _result(
     layers: LayerStore,
     progress: problem.Progress,
 ) -> problem.RefineResult:
+    limits = ConvergenceSettings.current()
     measured, scale = descent.measured, descent.scale
     zero = np.zeros(6 * len(objects) + 2)
     system, edge_std, depth_std = assemble(objects, state, measured, scale, options, zero)
@@ -167,7 +175,7 @@ def _result(
                 edge_std.get(i, float("nan")) / scale,
                 depth_std.get(i),
                 seen,
-                seen > 0 and descent.step_mm < _CONVERGED_MM,
+                seen > 0 and descent.step_mm < limits.last_step_mm,
                 covariance[6 * i : 6 * i + 6, system.SCALE] / covariance[system.SCALE, system.SCALE]
                 if options.refine_scale
                 else np.zeros(6),
@@ -175,7 +183,7 @@ def _result(
             )
         )
     scale_std = float(np.sqrt(covariance[system.SCALE, system.SCALE]))
-    settled = descent.step_mm < _CONVERGED_MM and descent.scale_step < scale_std
+    settled = descent.step_mm < limits.last_step_mm and descent.scale_step < scale_std
     factor_std = float(np.sqrt(covariance[system.FACTOR, system.FACTOR]))
     return problem.RefineResult(
         tuple(refined),

@@ -25,39 +25,60 @@ from std_toolkit.labels.refine.edges.descent import Descent, advance, step_size_
 from std_toolkit.labels.refine.edges.measure import Level, Measurements, PoseState, measure
 from std_toolkit.labels.refine.edges.system import TextureRows, texture_rows
 from std_toolkit.rendering.texture import TexturedSurface
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
 # Longer side of the object in the pictures that are matched, pixels, and the smallest used.
-_LONGEST_PX, _SMALLEST_PX = 300.0, 40.0
+_LONGEST_PX = 300.0
 
 # Rounds of matching: the reach in parts of the object's size, and the number of views.
 _ROUNDS = ((0.12, 12), (0.05, 32), (0.03, 32))
 
-# The best match must be this much nearer than the second; both are near their predicted place.
-_RATIO = 0.8
-
-# Matched features have nearly the same orientation and size, because the pose is nearly right.
-_TURN_DEG, _ZOOM = 25.0, 1.5
 
 # Features this near to the silhouette or a seam of the texture are not of the texture.
 _INSIDE_PX = 5
 
-# Textures count only with this many matches and views, and if this fraction of the matches agrees
-# with one pose within a part of the reach. Chance gives about the square of that part.
-_MATCHES, _VIEWS, _AGREED, _AGREED_PART = 16, 2, 0.4, 0.35
-
-# A texture leads a pose off its contour where the distance of the edges, in the median of the
-# views, grows by more than this part and this many pixels: the smaller part where the matches
-# scatter more than the edges by `_SCATTER`. On meshes 3 to 6 % too large along one axis it grows
-# by up to a half and matches scatter as edges do; there the texture is right.
-_RISE, _RISE_SCATTERED, _SCATTER, _RISE_PX = 1.0, 0.3, 1.5, 0.3
-
-# Views with fewer clear edges do not tell, and in few views the contour fits at many poses.
-_CLEAR, _LEAST_VIEWS = 20, 3
 
 # Steps of a round, and the size at which they end, mm at the surface.
 _STEPS, _SETTLED_MM = 6, 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureMatchSettings(Settings):
+    """Which matches with a texture count, and when a texture is followed."""
+
+    smallest_px: float = limit(40.0, unit="px", source=NOT_RECORDED)
+    """an object with a smaller longer side is not matched"""
+    ratio: float = limit(0.8, source=NOT_RECORDED)
+    """the best match must be this much nearer than the second"""
+    turn_deg: float = limit(25.0, unit="deg", source="the pose is nearly right")
+    """largest difference of the orientations of a match"""
+    zoom: float = limit(1.5, source="the pose is nearly right")
+    """largest ratio of the sizes of a match"""
+    fewest_matches: int = limit(16, source=NOT_RECORDED)
+    """matches that a texture needs to count"""
+    fewest_views: int = limit(2, source=NOT_RECORDED)
+    """views with matches that a texture needs to count"""
+    agreed: float = limit(0.4, source="chance gives about the square of `agreed_part`")
+    """smallest fraction of the matches that agree with one pose"""
+    agreed_part: float = limit(0.35, source=NOT_RECORDED)
+    """a match agrees within this part of the reach"""
+    rise: float = limit(
+        1.0,
+        source="on meshes 3 to 6 % too large along one axis the distance grows by up to a half",
+    )
+    """a texture that lets the distance of the edges grow by a larger part leads off the contour"""
+    rise_scattered: float = limit(0.3, source=NOT_RECORDED)
+    """the same where the matches scatter more than the edges"""
+    scatter: float = limit(1.5, source=NOT_RECORDED)
+    """matches scatter more than the edges above this ratio"""
+    rise_px: float = limit(0.3, unit="px", source=NOT_RECORDED)
+    """the same in pixels; both must be exceeded"""
+    fewest_edges: int = limit(20, source=NOT_RECORDED)
+    """views with fewer clear edges do not tell"""
+    fewest_edge_views: int = limit(3, source="in few views the contour fits at many poses")
+    """with fewer such views a texture is followed"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,23 +198,24 @@ def _leaves_contour(index: int, before: Measurements, after: Measurements) -> bo
         before: at the pose that fits the contours best.
         after: at the pose that fits the texture as well.
     """
+    limits = TextureMatchSettings.current()
     fits, left = (
         {
             rows.view: float(np.median(np.abs(rows.residual[clear])))
             for k, rows in measured.contours
-            if k == index and (clear := rows.weight > 0.1).sum() >= _CLEAR
+            if k == index and (clear := rows.weight > 0.1).sum() >= limits.fewest_edges
         }
         for measured in (before, after)
     )
     both = sorted(fits.keys() & left.keys())
-    if len(both) < _LEAST_VIEWS:
+    if len(both) < limits.fewest_edge_views:
         return False
     best = np.array([fits[k] for k in both])
     rise = np.array([left[k] for k in both]) - best
     apart = [np.linalg.norm(rows.residual, axis=1) for k, rows in after.textures if k == index]
-    scattered = np.median(np.concatenate(apart)) > _SCATTER * np.median(best)
-    share = _RISE_SCATTERED if scattered else _RISE
-    return bool(np.median(rise) > max(share * np.median(best), _RISE_PX))
+    scattered = np.median(np.concatenate(apart)) > limits.scatter * np.median(best)
+    share = limits.rise_scattered if scattered else limits.rise
+    return bool(np.median(rise) > max(share * np.median(best), limits.rise_px))
 
 
 def match_texture(
@@ -293,7 +315,7 @@ class PhotoFeatures:
         if box is None:
             return None
         size = max(box[2] - box[0], box[3] - box[1])
-        if size < _SMALLEST_PX:
+        if size < TextureMatchSettings.current().smallest_px:
             return None
         factor = min(1.0, _LONGEST_PX / size)
         # Steps of a tenth, so that the next round finds the same scale.
@@ -340,11 +362,12 @@ def _features(
 
 def _pairs(model: Features, photo: Features, reach: float) -> NDArray[np.intp]:
     """(N, 2) indices of mutual best matches near their predicted places."""
+    limits = TextureMatchSettings.current()
     apart = np.linalg.norm(model.place[:, None] - photo.place[None], axis=2)
     turn = np.abs((model.angle[:, None] - photo.angle[None] + 180) % 360 - 180)
     zoom = np.abs(np.log(model.size[:, None] / photo.size[None]))
     unlike = 2 - 2 * (model.descriptor @ photo.descriptor.T)
-    near = (apart <= reach) & (turn <= _TURN_DEG) & (zoom <= np.log(_ZOOM))
+    near = (apart <= reach) & (turn <= limits.turn_deg) & (zoom <= np.log(limits.zoom))
     cost = np.where(near, unlike, np.inf)
     best = cost.argmin(axis=1)
     rows = np.arange(len(cost))
@@ -353,7 +376,7 @@ def _pairs(model: Features, photo: Features, reach: float) -> NDArray[np.intp]:
     same = np.linalg.norm(photo.place[best][:, None] - photo.place[None], axis=2) < 3.0
     rest = np.where((apart <= reach) & ~same, unlike, np.inf).min(axis=1)
     mutual = cost.argmin(axis=0)[best] == rows
-    good = np.isfinite(lowest) & mutual & (lowest < _RATIO**2 * rest) & (lowest < 0.6)
+    good = np.isfinite(lowest) & mutual & (lowest < limits.ratio**2 * rest) & (lowest < 0.6)
     return np.stack([rows[good], best[good]], axis=1)
 
 
@@ -370,17 +393,18 @@ def _best_views(
         T_world_obj @ obj.centre,
         obj.radius,
         count=count,
-        smallest_px=_SMALLEST_PX,
+        smallest_px=TextureMatchSettings.current().smallest_px,
     )
 
 
 def _enough(matches: dict[tuple[int, int], Matches]) -> set[int]:
     """Objects with enough matches in enough views."""
+    limits = TextureMatchSettings.current()
     found = set()
     for i in {i for i, _ in matches}:
         mine = [m for (j, _), m in matches.items() if j == i]
-        many = sum(len(m.points) for m in mine) >= _MATCHES
-        if many and sum(len(m.points) >= 3 for m in mine) >= _VIEWS:
+        many = sum(len(m.points) for m in mine) >= limits.fewest_matches
+        if many and sum(len(m.points) >= 3 for m in mine) >= limits.fewest_views:
             found.add(i)
     return found
 
@@ -416,12 +440,13 @@ def _agree(
     state: PoseState,
 ) -> bool:
     """Whether the matches of an object agree with its pose better than chance would."""
+    limits = TextureMatchSettings.current()
     near = total = 0
     for (i, k), m in matches.items():
         if i != index:
             continue
         T_cam_obj = state.camera_pose(views[k]).inverse() @ state.poses[i]
         error = np.linalg.norm(views[k].camera.project(T_cam_obj @ m.points) - m.pixels, axis=1)
-        near += int((error < max(_AGREED_PART * m.reach, 1.5)).sum())
+        near += int((error < max(limits.agreed_part * m.reach, 1.5)).sum())
         total += len(error)
-    return near >= _AGREED * total
+    return near >= limits.agreed * total

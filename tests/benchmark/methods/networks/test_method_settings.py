@@ -7,8 +7,9 @@ from typing import Literal
 
 import pytest
 
-from benchmark.methods.registry import configured, preset_of
+from benchmark.methods.registry import preset_of
 from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import configured
 
 
 @dataclass(frozen=True)

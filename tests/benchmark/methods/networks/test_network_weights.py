@@ -21,7 +21,7 @@ from benchmark.methods.weights import (
     weights_for,
 )
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scene.document import digest_file
+from std_toolkit.io.documents import digest_file
 
 
 def network(width: int = 4, seed: int = 0) -> nn.Module:

@@ -46,7 +46,7 @@ def test_keys_and_shapes_are_the_published_ones():
     [("compact", {}, 11_541_595), ("published", {"fusion": "paper"}, 155_327_799)],
 )
 def test_sizes(preset, settings, count):
-    from benchmark.methods.registry import configured
+    from std_toolkit.plugins import configured
 
     with torch.device("meta"):
         assert parameter_count(SwinDRNetwork(configured(PRESETS[preset], settings))) == count

@@ -10,10 +10,10 @@ from benchmark.methods.pose.deformation import PerCategory
 from benchmark.methods.pose.segmented import LEAST_PIXELS, crop_object, stacked
 from benchmark.methods.pose.sgpa import PRESETS as SGPA
 from benchmark.methods.pose.sgpa import Adaptation, SGPANetwork, Structure, StructurePoints
-from benchmark.methods.pose.spd_network import PRESETS as SPD
-from benchmark.methods.pose.spd_network import PatchFeatures, SPDNetwork
-from benchmark.methods.registry import configured
+from benchmark.methods.pose.spd import PRESETS as SPD
+from benchmark.methods.pose.spd import PatchFeatures, SPDNetwork
 from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import configured
 
 SMALL = {
     "prior_points": "64",

@@ -15,7 +15,6 @@ from safetensors.torch import save_file
 from benchmark.methods.depth.swindrnet.fusion_decoder import UPerHead
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetConfig, SwinDRNetwork
 from benchmark.methods.network import parameter_count
-from benchmark.methods.pose.pose_network import points_of
 from benchmark.methods.pose.swindrnet_nocs.instances import segments_of
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import (
     begin_pose_network,
@@ -29,6 +28,7 @@ from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
 )
 from benchmark.methods.protocol import PoseView
 from benchmark.methods.registry import MethodOptions, make_pose_method
+from benchmark.methods.torch_camera import points_of
 from benchmark.methods.weights import save_weights
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera

@@ -21,12 +21,13 @@ from benchmark.methods.grasp.graspnet.cloud import (
 )
 from benchmark.methods.grasp.graspnet.graspnet_network import GraspNetwork
 from benchmark.methods.protocol import GraspView
-from benchmark.methods.registry import MethodOptions, configured, make_planner
+from benchmark.methods.registry import MethodOptions, make_planner
 from benchmark.methods.weights import save_weights
 from benchmark.metrics.grasp.collision import filled_share, hits_plane
 from benchmark.metrics.grasp.gripper import GRASPNET, PANDA
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
+from std_toolkit.plugins import configured
 
 CAMERA = Camera(160, 90, 111.6, 111.6, 79.5, 44.5)
 SETTINGS = {

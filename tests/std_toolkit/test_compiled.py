@@ -12,7 +12,7 @@ import pytest
 PROGRAM = """
 import resource
 from std_toolkit.log import log_to_stderr
-from sensors.compiled import compiled
+from std_toolkit.compiled import compiled
 
 log_to_stderr()
 
@@ -27,7 +27,6 @@ assert doubled(21) == 42
 
 @pytest.mark.slow
 def test_code_that_a_full_disk_does_not_take_still_runs(tmp_path: Path) -> None:
-    pytest.importorskip("numba")
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     done = subprocess.run(

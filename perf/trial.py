@@ -18,17 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.assets import draw_diagonal, open_source
+from sensors.depth_models.stereo import with_noise
 from sensors.lighting.environment_sources import StudioSource
 from sensors.lighting.light_draw import PROJECTOR_POWER, draw_floor, draw_lighting
 from sensors.materials.material_draw import DrawnMaterial, draw_material
 from sensors.materials.material_library import MaterialClass, load_library
 from sensors.pattern import make_pattern
 from sensors.render import infrared_image, sim_renderer, sim_scene
-from sensors.specs import SensorSpec
+from sensors.specs import SensorSpec, load_sensor
 from sensors.stereo import disparity_to_depth, make_matcher
-from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.geometry import SE3, Camera
 
+SENSOR = load_sensor("d415")
+CAMERA = SENSOR.infrared_camera(640, 360)
 DISTANCE_M = 0.6
 
 TILT_DEG = 10.0
@@ -39,7 +41,11 @@ _COLUMNS, _SPACING_M = 3, (0.24, 0.22)
 
 _ELEVATION_DEG = 50.0
 
+# Half the local matcher's window: costs summed over 9 pixels, each with a radius of 3.
 WINDOW_PX = 7
+# Difference in disparity between two surfaces within a window.
+STEP_PX = 1.5
+_OCCLUDED_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,78 +236,6 @@ def _own_color(rng: np.random.Generator) -> tuple[float, float, float]:
 
 def _above(height_m: float) -> SE3:
     return SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, height_m]))
-
-
-"""Half the local matcher's window: costs summed over 9 pixels, each with a radius of 3."""
-
-STEP_PX = 1.5
-
-
-"""Difference in disparity between two surfaces within a window."""
-
-_OCCLUDED_PX = 1.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClearShares:
-    """What a camera measures where something transparent is.
-
-    Attributes:
-        pixels: counted: those with the background at least `GAP_M` behind the surface.
-        missing: fraction without depth.
-        background: fraction of the measured ones that show what lies behind: nearer to it than to
-            the surface by 3 to 7, or within `GAP_M` of it.
-        surface: fraction of the measured ones within 10 mm of the surface.
-        median_mm: median error of the measured ones.
-        brightness: mean of the infrared image over that of a ring around; NaN if unknown.
-    """
-
-    pixels: int
-    missing: float
-    background: float
-    surface: float
-    median_mm: float
-    brightness: float = float("nan")
-
-
-GAP_M = 0.015
-
-
-def clear_shares(
-    depth: NDArray[np.floating],
-    surface: NDArray[np.floating],
-    background: NDArray[np.floating],
-    mask: NDArray[np.bool_],
-    *,
-    infrared: NDArray[np.uint8] | None = None,
-) -> ClearShares:
-    """Compare a depth map with the two surfaces that a clear object offers.
-
-    Args:
-        depth: (h, w) measured, metres, 0 = none.
-        surface: (h, w) true depth of the object.
-        background: (h, w) true depth without the object.
-        mask: (h, w) bool, the object.
-        infrared: (h, w) image of the same camera.
-    """
-    gap = background - surface
-    counted = mask & (surface > 0) & (gap > GAP_M)
-    seen = counted & (depth > 0)
-    z, near, far = depth[seen], surface[seen], background[seen]
-    behind = (z - near > 0.7 * (far - near)) & (z - far < GAP_M)
-    brightness = float("nan")
-    if infrared is not None and mask.any():
-        inside = mask.astype(np.uint8)
-        ring = cv2.dilate(inside, np.ones((41, 41))) > cv2.dilate(inside, np.ones((11, 11)))
-        brightness = float(infrared[mask].mean() / max(infrared[ring].mean(), 1))
-    return ClearShares(
-        pixels=int(counted.sum()),
-        missing=1 - float(seen.sum() / max(counted.sum(), 1)),
-        background=float(behind.mean()) if behind.size else 0.0,
-        surface=float((abs(z - near) < 0.01).mean()) if behind.size else 0.0,
-        median_mm=float(np.median(abs(z - near)) * 1000) if behind.size else float("nan"),
-        brightness=brightness,
-    )
 
 
 def small_holes(missing: NDArray[np.bool_], *, largest: int = 80) -> NDArray[np.bool_]:

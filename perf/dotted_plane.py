@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.depth_models.stereo import with_noise
 from sensors.lighting.light_draw import INFRARED_STRENGTH, PROJECTOR_POWER
 from sensors.pattern import DotPattern
 from sensors.render import infrared_image
 from sensors.specs import SensorSpec
 from sensors.stereo import make_matcher
-from sensors.stereo.disparity_noise import with_noise
 from std_toolkit.errors import ToolkitError
 
 # Samples per pixel along each side.

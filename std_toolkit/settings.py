@@ -1,0 +1,268 @@
+"""Limits that decide whether a label, frame, match, mask, mesh or grasp is accepted.
+
+An algorithm keeps its limits in one frozen dataclass in its own module, a subclass of `Settings`:
+
+    @dataclass(frozen=True, kw_only=True)
+    class ContourSettings(Settings):
+        largest_px: float = limit(3.0, unit="px", source="chosen; 0.8 on right labels")
+        '''median distance from the contour to the image edge'''
+
+The algorithm reads them where it decides: `ContourSettings.current().largest_px`. A group of limits
+is named after its module: `checks.gates.contour` for `std_toolkit/checks/gates/contour.py`,
+`benchmark.tabletop.trial` outside `std_toolkit`.
+
+A user changes limits with `--settings FILE` of any command, in TOML:
+
+    [checks.gates.contour]
+    largest_px = 2.0
+
+or from Python with `with override(ContourSettings(largest_px=2.0)): ...`. Worker processes get the
+same limits, and results record those that differ from the defaults (`changed`). What the user
+chooses anew for each run is an option of the step, in `std_toolkit.options`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.util
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from std_toolkit.errors import ToolkitError, check_options
+
+NOT_RECORDED = "not recorded"
+"""Source of a limit of which nobody noted on what data it was set."""
+
+_PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
+_GROUP = re.compile(r"[a-z_][a-z0-9_]*(\.[a-z_][a-z0-9_]*)*")
+# A file of settings is written by hand.
+_LARGEST_FILE_BYTES = 1 << 20
+
+
+def limit(value: Any, *, unit: str = "", source: str) -> Any:
+    """Return the field of a limit.
+
+    Args:
+        value: default; a number, a tuple of numbers, or a dict of numbers by name.
+        unit: "px", "mm", "deg", ...; "" for a ratio or a count.
+        source: on what data, or by what argument, the value was set.
+    """
+    metadata = {"unit": unit, "source": source}
+    if isinstance(value, dict):
+        return dataclasses.field(default_factory=lambda: dict(value), metadata=metadata)
+    return dataclasses.field(default=value, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Limits of one module; every field is made by `limit`."""
+
+    group: ClassVar[str] = ""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.group = cls.__module__.removeprefix("std_toolkit.")
+        _KINDS[cls.group] = cls
+
+    @classmethod
+    def current(cls) -> Self:
+        """Return the limits in force: those of `override`, else the defaults."""
+        found = _ACTIVE.get(cls)
+        if found is None:
+            found = _ACTIVE[cls] = cls()
+        return found  # type: ignore[return-value]
+
+
+_KINDS: dict[str, type[Settings]] = {}
+_ACTIVE: dict[type[Settings], Settings] = {}
+
+
+@contextmanager
+def override(*limits: Settings) -> Iterator[None]:
+    """Use these limits within the block, in this process and in workers that it starts."""
+    before = dict(_ACTIVE)
+    use(limits)
+    try:
+        yield
+    finally:
+        _ACTIVE.clear()
+        _ACTIVE.update(before)
+
+
+def use(limits: Iterable[Settings]) -> None:
+    """Use these limits until the process ends.
+
+    Raises:
+        ToolkitError: a value is outside the range that its annotation states.
+    """
+    for one in limits:
+        check_options(one)
+        _ACTIVE[type(one)] = one
+
+
+def in_force() -> tuple[Settings, ...]:
+    """Return the groups of limits that differ from the defaults, in the order of their names."""
+    return tuple(sorted((s for s in _ACTIVE.values() if s != type(s)()), key=lambda one: one.group))
+
+
+def changed() -> dict[str, Any]:
+    """Return the limits that differ from the defaults, by "GROUP.FIELD"; results record them."""
+    return {
+        f"{one.group}.{field.name}": getattr(one, field.name)
+        for one in in_force()
+        for field in dataclasses.fields(one)
+        if getattr(one, field.name) != getattr(type(one)(), field.name)
+    }
+
+
+def read_settings(path: Path) -> tuple[Settings, ...]:
+    """Read a TOML file of limits: a table for each group, a key for each limit.
+
+    Raises:
+        ToolkitError: the file cannot be read, a group or limit does not exist, or a value has
+            another type than the default.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_FILE_BYTES:
+            raise ToolkitError("the file of settings is too large", path=path)
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ToolkitError(f"no TOML: {error}", path=path) from error
+    return tuple(_from_table(name, table, path) for name, table in _groups(tables))
+
+
+def _groups(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Tables by dotted name; a table may hold limits that are tables, such as by material."""
+    for key, value in tables.items():
+        name = f"{prefix}.{key}" if prefix else key
+        if not isinstance(value, dict):
+            yield prefix, {key: value}
+        elif _kind(name) is not None:
+            yield name, value
+        elif _is_package(name):
+            yield from _groups(value, name)
+        else:
+            yield name, value
+
+
+def _is_package(name: str) -> bool:
+    return _spec(name) is not None
+
+
+def _spec(group: str) -> str | None:
+    """Full name of the module of a group; None if the toolkit has none."""
+    if not _GROUP.fullmatch(group):
+        return None
+    full = group if group.partition(".")[0] in _PACKAGES else f"std_toolkit.{group}"
+    try:
+        return full if importlib.util.find_spec(full) is not None else None
+    except ModuleNotFoundError:
+        return None
+
+
+def _kind(group: str) -> type[Settings] | None:
+    full = _spec(group)
+    if full is not None and group not in _KINDS:
+        importlib.import_module(full)
+    return _KINDS.get(group)
+
+
+def _from_table(group: str, table: dict[str, Any], path: Path) -> Settings:
+    kind = _kind(group)
+    if kind is None:
+        raise ToolkitError(
+            "no group of settings has this name",
+            path=path,
+            field=group or next(iter(table)),
+            hint="`std-curate settings` lists all",
+        )
+    known = {field.name: field for field in dataclasses.fields(kind)}
+    values = {}
+    for name, value in table.items():
+        if name not in known:
+            raise ToolkitError(
+                f"no limit of {group}; it has {', '.join(known)}",
+                path=path,
+                field=f"{group}.{name}",
+            )
+        values[name] = _as_default(getattr(kind(), name), value, path, f"{group}.{name}")
+    made = kind(**values)
+    try:
+        check_options(made)
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem, path=path, field=f"{group}.{error.field}", value=error.value
+        ) from error
+    return made
+
+
+def _as_default(default: Any, value: Any, path: Path, field: str) -> Any:
+    """The value in the type of the default: whole numbers may stand for others."""
+
+    def refuse(expected: str) -> ToolkitError:
+        return ToolkitError(f"expected {expected}", path=path, field=field, value=value)
+
+    if isinstance(default, tuple):
+        if not isinstance(value, list) or len(value) != len(default):
+            raise refuse(f"{len(default)} numbers")
+        return tuple(_as_default(d, v, path, field) for d, v in zip(default, value, strict=True))
+    if isinstance(default, dict):
+        if not isinstance(value, dict) or not set(value) <= set(default):
+            raise refuse(f"a table with {', '.join(map(str, default))}")
+        parts = {k: _as_default(default[k], v, path, f"{field}.{k}") for k, v in value.items()}
+        return {**default, **parts}
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise refuse("true or false")
+        return value
+    if isinstance(default, int):
+        if not number or value != int(value):
+            raise refuse("a whole number")
+        return int(value)
+    if not number or value != value or abs(value) == float("inf"):
+        raise refuse("a finite number")
+    return float(value)
+
+
+def every_group() -> tuple[type[Settings], ...]:
+    """Import all modules that have limits and return their groups in the order of their names."""
+    root = Path(__file__).resolve().parent.parent
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            if "(Settings):" in path.read_text(encoding="utf-8"):
+                importlib.import_module(".".join(path.relative_to(root).with_suffix("").parts))
+    return tuple(_KINDS[name] for name in sorted(_KINDS))
+
+
+def settings_text(kind: type[Settings]) -> str:
+    """Return the limits in force of a group as TOML, with meaning, unit and source as comments."""
+    from docstring_parser import parse_from_object
+
+    meanings = {
+        m.arg_name: " ".join((m.description or "").split()) for m in parse_from_object(kind).params
+    }
+    lines = [f"# {(kind.__doc__ or '').splitlines()[0]}", f"[{kind.group}]"]
+    for field in dataclasses.fields(kind):
+        unit = f" ({field.metadata['unit']})" if field.metadata["unit"] else ""
+        lines += [
+            f"# {meanings[field.name]}{unit}. Source: {field.metadata['source']}",
+            f"{field.name} = {_toml(getattr(kind.current(), field.name))}",
+        ]
+    return "\n".join(lines)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {_toml(v)}" for name, v in value.items()) + " }"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value if isinstance(value, int) else float(value))
