@@ -77,9 +77,10 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A run over its budget fails; long tests have none."""
-    in_worker = "PYTEST_XDIST_WORKER" in os.environ
-    if not in_worker and session.config.option.markexpr != "long" and TIMINGS.over():
+    """A run over its budget fails; long tests have none, and coverage slows all tests down."""
+    config = session.config
+    free = config.option.markexpr == "long" or config.pluginmanager.hasplugin("_cov")
+    if not free and "PYTEST_XDIST_WORKER" not in os.environ and TIMINGS.over():
         session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
 
 
