@@ -204,6 +204,11 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
     gates: list[GateFinding] = msgspec.field(default_factory=list)
     frames: list[ObjectFrameCheck] = msgspec.field(default_factory=list)
 
+    @property
+    def is_labelled(self) -> bool:
+        """Whether it has a label in the world."""
+        return self.label in ("propagated", "refined")
+
     def entry(self, key: str) -> Value | None:
         """The value with a key; None if it was not measured."""
         return next((v for v in self.values if v.key == key), None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from std_toolkit.checks.gates.gate import (
-    LABELLED,
     Measured,
     ObjectGate,
     Reading,
@@ -62,7 +61,7 @@ def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
 
 def _labelled(item: ObjectCheck, measured: Measured) -> Reading:
     del measured
-    return Reading(0.0 if item.label in LABELLED else 1.0)
+    return Reading(0.0 if item.is_labelled else 1.0)
 
 
 def _edges(item: ObjectCheck, measured: Measured) -> Reading | None:

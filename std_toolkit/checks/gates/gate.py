@@ -41,7 +41,6 @@ from std_toolkit.checks.result import (
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
 
-LABELLED = ("propagated", "refined")
 _MOST_NAMES = 6
 
 
@@ -90,7 +89,7 @@ class Measured:
     @property
     def labelled(self) -> list[ObjectCheck]:
         """The objects with a label in the world."""
-        return [o for o in self.objects if o.label in LABELLED]
+        return [o for o in self.objects if o.is_labelled]
 
     @property
     def has_contours(self) -> bool:
@@ -231,7 +230,7 @@ def no_exemption(item: ObjectCheck, measured: Measured) -> str:
 def unlabelled(item: ObjectCheck, measured: Measured) -> str:
     """Reason for the exemption of an object without a propagated label."""
     del measured
-    return "" if item.label in LABELLED else "it has no label in the world"
+    return "" if item.is_labelled else "it has no label in the world"
 
 
 def unseen(item: ObjectCheck, measured: Measured) -> str:

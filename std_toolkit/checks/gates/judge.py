@@ -177,7 +177,7 @@ def _summary(
         looked_at=len(observed),
         reprojection_px=aggregate.rounded(float(np.mean(errors))) if errors else None,
         objects=len(objects),
-        labelled=sum(o.label in ("propagated", "refined") for o in objects),
+        labelled=sum(o.is_labelled for o in objects),
         depth_frames=sum(f.depth is not None for f in scene.frames),
         truth_frames=current,
         truth_source="rendered maps" if current else "labels cast here" if cast else "none",

@@ -12,14 +12,13 @@ from std_toolkit.checks.gates.gate import (
     all_names,
     unlabelled,
 )
+from std_toolkit.checks.measure.object_motion import NOTED_SIZE, SIZE_DEVIATIONS
 from std_toolkit.checks.result import CheckWarning, ObjectCheck
 from std_toolkit.options import CheckOptions
 
 # Motions below these are not worth a warning.
 _NOTED_MM = 2.0
 _NOTED_DEG = 1.2
-_NOTED_SIZE = 0.015
-_SIZE_DEVIATIONS = 3.0
 # Motions up to this many limits are put down to the shape of the mesh where its texture fits.
 _OTHER_SHAPE = 3.0
 # Contours further from the image than this differ in shape.
@@ -77,7 +76,7 @@ def size_error(item: ObjectCheck) -> float:
     error, std = item.value("size_error"), item.std("size_error")
     if error is None or std is None:
         return 0.0
-    return error if abs(error) > _SIZE_DEVIATIONS * std else 0.0
+    return error if abs(error) > SIZE_DEVIATIONS * std else 0.0
 
 
 def _translation(item: ObjectCheck, measured: Measured) -> Reading:
@@ -138,7 +137,7 @@ def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
 def _size_warnings(measured: Measured) -> Iterable[CheckWarning]:
     for item in measured.labelled:
         size, std = size_error(item), 100 * (item.std("size_error") or 0)
-        if abs(size) < _NOTED_SIZE or is_another_shape(item, measured.options):
+        if abs(size) < NOTED_SIZE or is_another_shape(item, measured.options):
             continue
         yield CheckWarning(
             severity="medium",

@@ -22,7 +22,7 @@ from std_toolkit.checks.measure.sensor_depth import (
 from std_toolkit.scene import Label, Object, Scene
 
 # Frames that show less of an object constrain its pose too weakly.
-_JUDGED_FRACTION = 0.2
+JUDGED_FRACTION = 0.2
 # Edge distance over that by chance of a label that fits.
 _CLOSE = 0.6
 # Outlines that determine the shift of depth in one frame.
@@ -96,7 +96,7 @@ def check_frames(
                 pose_std_mm=_weakest(pose.covariance, 0, 1000) if pose else None,
                 looked_at=look is not None,
                 objects_visible=(
-                    sum(o.visible_fraction >= _JUDGED_FRACTION for o in look.objects.values())
+                    sum(o.visible_fraction >= JUDGED_FRACTION for o in look.objects.values())
                     if look
                     else 0
                 ),
@@ -125,7 +125,7 @@ def depth_shifts(observed: Sequence[FrameObservation]) -> list[DepthShift]:
 def _against_colour(observation: ObjectObservation) -> DepthShift | None:
     """The shift of depth against the image; the label's own shift is subtracted."""
     edges, depth = observation.edges, observation.depth_shift
-    if edges is None or depth is None or observation.visible_fraction < _JUDGED_FRACTION:
+    if edges is None or depth is None or observation.visible_fraction < JUDGED_FRACTION:
         return None
     if observation.shift is not None:
         x_px, y_px = depth.x_px - observation.shift.x_px, depth.y_px - observation.shift.y_px
@@ -189,7 +189,7 @@ def _check_object(
         if label.T_world_obj is not None:
             state = "refined" if label.refined else "propagated"
     rows = [(f.frame, f.objects[item.id]) for f in observed if item.id in f.objects]
-    judged = [o for _, o in rows if o.visible_fraction >= _JUDGED_FRACTION]
+    judged = [o for _, o in rows if o.visible_fraction >= JUDGED_FRACTION]
     seen = [f for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
     tally = ErrorTally.merged([f.tallies[item.id] for f in observed if item.id in f.tallies])
     visible = rounded(median([o.visible_fraction for _, o in rows]))
@@ -333,7 +333,7 @@ def _object_frame(
 
 
 def _edge(observation: ObjectObservation) -> float | None:
-    judged = observation.edges is not None and observation.visible_fraction >= _JUDGED_FRACTION
+    judged = observation.edges is not None and observation.visible_fraction >= JUDGED_FRACTION
     return observation.edges.median_px if judged and observation.edges is not None else None
 
 

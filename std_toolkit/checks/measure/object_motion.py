@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.measure.aggregate import in_mm, known_values, rounded
+from std_toolkit.checks.measure.aggregate import JUDGED_FRACTION, in_mm, known_values, rounded
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
 from std_toolkit.checks.measure.edges import Consistency, fit_consistency
 from std_toolkit.checks.measure.motion import (
@@ -26,11 +26,9 @@ from std_toolkit.scene import Scene
 
 _Equations = MotionEquations | FiledEquations
 
-_LABELLED = ("propagated", "refined")
-_JUDGED_FRACTION = 0.2
-# Sizes below this do not pull the motion with them.
-_NOTED_SIZE = 0.015
-_SIZE_DEVIATIONS = 3.0
+# Smaller differences in size are not worth a warning, and do not pull the motion with them.
+NOTED_SIZE = 0.015
+SIZE_DEVIATIONS = 3.0
 # Support of all frames together that confirms a label which few frames confirm alone: deviations
 # above chance, and the part of what chance leaves. Right labels on glass reach 0.43, the mesh of
 # another object 0.37.
@@ -76,7 +74,7 @@ def _with_motion(
     options: CheckOptions,
 ) -> ObjectCheck:
     T_world_obj = scene.T_world_obj(item.object)
-    if item.label not in _LABELLED or T_world_obj is None:
+    if not item.is_labelled or T_world_obj is None:
         return item
     if mesh_problem(scene, item.model) is not None:
         return item
@@ -86,7 +84,7 @@ def _with_motion(
         seen = frame.objects.get(item.object)
         if seen is not None and seen.motion is not None:
             rows[frame.frame] = seen.motion
-            if seen.visible_fraction >= _JUDGED_FRACTION:
+            if seen.visible_fraction >= JUDGED_FRACTION:
                 judged[frame.frame] = seen.motion
     symmetry = scene.objects.model(item.model).symmetry.symmetry()
     free = symmetry_motions(symmetry, T_world_obj, object_centre(scene, item.object))
@@ -115,7 +113,7 @@ def _with_motion(
     if sized_support.share - support.share < _SIZE_SHARE:
         size_std = max(size_std, abs(sized.size))
     # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
-    if abs(sized.size) > max(_NOTED_SIZE, _SIZE_DEVIATIONS * size_std):
+    if abs(sized.size) > max(NOTED_SIZE, SIZE_DEVIATIONS * size_std):
         motion, support = sized, sized_support
     shown = item.text("texture") == "fits" or (
         _is_supported(support)
@@ -140,7 +138,7 @@ def _with_motion(
 def _drift_values(object_id: int, observed: Sequence[FrameObservation]) -> list[Value]:
     """One displacement that explains the shifts of all frames, and what it leaves."""
     found = [f.objects[object_id] for f in observed if object_id in f.objects]
-    drift = _consistency([o for o in found if o.visible_fraction >= _JUDGED_FRACTION])
+    drift = _consistency([o for o in found if o.visible_fraction >= JUDGED_FRACTION])
     if drift is None:
         return []
     offset = [round(1000 * x, 2) for x in drift.offset_m]

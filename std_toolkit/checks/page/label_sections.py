@@ -129,7 +129,7 @@ def overlay_blocks(
     ]
     if not whole:
         return []
-    labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
+    labelled = [o for o in report.objects if o.is_labelled]
     about = (
         "Outlines of the labels over the image; the outline of a correct label follows the edge of "
         "the object. Click an image to enlarge it; press o to hide the outlines."
