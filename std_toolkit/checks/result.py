@@ -55,7 +55,8 @@ class GateFinding(Document, frozen=True, kw_only=True):
         gate: its key.
         value: of the object, in the unit of the gate; null if it was not measured.
         verdict: "open" if what was not measured leaves the verdict open.
-        exempt: why the object cannot fail the gate of the scene, or "".
+        exempt: why the object cannot fail the gate of the scene, or counts less than what was
+            measured, or "".
     """
 
     gate: str

@@ -77,9 +77,9 @@ def _shift(item: ObjectCheck, measured: Measured) -> Reading | None:
 
 def _pixels(item: ObjectCheck, value: Number, limit: float, measured: Measured) -> Reading | None:
     """Pixels depend on resolution and distance: they decide where the motion is not measured."""
-    if value is not None and is_small(item, measured.options):
-        value = min(value, limit)
-    return Reading(value)
+    if value is None or value <= limit or not is_small(item, measured.options):
+        return Reading(value)
+    return Reading(limit, excuse="its motion, which counts instead, is within the limits")
 
 
 def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:

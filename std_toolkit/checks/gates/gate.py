@@ -10,12 +10,12 @@ To add a gate, write it into the tuple `GATES` of its family (`poses`, `contour`
 table, the warnings and the verdicts then have it:
 
     ObjectGate(
-        key="visible",
-        title="hidden part of an object, worst object",
-        unit="%",
-        limit=lambda options: options.max_hidden,
-        measure=lambda item, measured: Reading(100 * (1 - (item.value("visible_fraction") or 0))),
-        advice="rearrange the objects",
+        key="scatter",
+        title="scatter of the depth residual, worst object",
+        unit="mm",
+        limit=lambda options: options.max_scatter_mm,
+        measure=lambda item, measured: Reading(item.value("depth_mad_mm")),
+        advice="inspect the depth panels",
     )
 
 `measure` reads the values of the object, or `measured`; it returns None where nothing was measured.
@@ -106,12 +106,14 @@ class Reading:
         deviation: its standard deviation; None if unknown.
         detail: where it comes from; for an object, what is said beside its name.
         advice: replaces that of the gate if not empty.
+        excuse: why it counts less than what was measured, or "".
     """
 
     value: float | None
     deviation: float | None = None
     detail: str = ""
     advice: str = ""
+    excuse: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -316,7 +318,7 @@ class ObjectGate(Gate):
             gate=self.key,
             value=round(reading.value, 3),
             verdict="good" if self.meets(reading, measured.options) else self.verdict,
-            exempt=self.exempt(item, measured),
+            exempt=self.exempt(item, measured) or reading.excuse,
         )
 
     def warnings(self, measured: Measured) -> list[CheckWarning]:

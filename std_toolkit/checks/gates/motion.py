@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from std_toolkit.checks.gates.gate import (
     Measured,
@@ -64,13 +64,6 @@ def _is_offset(item: ObjectCheck) -> bool:
     return (item.value("edge_px") or 0) > _OFFSET_PX
 
 
-def counted_motion(item: ObjectCheck, options: CheckOptions) -> tuple[float | None, float | None]:
-    """Translation (mm) and rotation (degrees) that count against the label; None without."""
-    if is_another_shape(item, options):
-        return 0.0, 0.0
-    return item.value("motion_mm"), item.value("motion_deg")
-
-
 def size_error(item: ObjectCheck) -> float:
     """The relative difference in size, 0 if it is not significant."""
     error, std = item.value("size_error"), item.std("size_error")
@@ -79,12 +72,15 @@ def size_error(item: ObjectCheck) -> float:
     return error if abs(error) > SIZE_DEVIATIONS * std else 0.0
 
 
-def _translation(item: ObjectCheck, measured: Measured) -> Reading:
-    return Reading(counted_motion(item, measured.options)[0], item.std("motion_mm"))
+def _motion(key: str) -> Callable[[ObjectCheck, Measured], Reading | None]:
+    """The measure of one part of the motion."""
 
+    def measure(item: ObjectCheck, measured: Measured) -> Reading | None:
+        if is_another_shape(item, measured.options):
+            return Reading(0.0, excuse="its texture fits: the mesh has another shape")
+        return Reading(item.value(key), item.std(key))
 
-def _rotation(item: ObjectCheck, measured: Measured) -> Reading:
-    return Reading(counted_motion(item, measured.options)[1], item.std("motion_deg"))
+    return measure
 
 
 def _size(item: ObjectCheck, measured: Measured) -> Reading | None:
@@ -170,7 +166,7 @@ GATES = (
     ObjectGate(
         key="motion",
         title="translation between a label and the images, worst object",
-        measure=_translation,
+        measure=_motion("motion_mm"),
         exempt=unlabelled,
         limit=lambda options: options.max_motion_mm,
         unit="mm",
@@ -181,7 +177,7 @@ GATES = (
     ObjectGate(
         key="rotation",
         title="rotation between a label and the images, worst object",
-        measure=_rotation,
+        measure=_motion("motion_deg"),
         exempt=unlabelled,
         limit=lambda options: options.max_motion_deg,
         unit="deg",

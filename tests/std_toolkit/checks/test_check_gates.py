@@ -15,6 +15,7 @@ from std_toolkit.checks.result import (
     CheckGate,
     CheckReport,
     FrameCheck,
+    GateFinding,
     ObjectCheck,
     SceneSummary,
     Value,
@@ -52,7 +53,11 @@ VALUES = {
 def mug(**change: Any) -> ObjectCheck:
     """A good object with other fields or values; None takes a value away."""
     fields = {k: change.pop(k, v) for k, v in IDENTITY.items()}
-    words = {"label_std_mm": change.pop("weak_direction", "")}
+    words = {
+        "label_std_mm": change.pop("weak_direction", ""),
+        "confirmed": "yes",
+        "texture": change.pop("texture_verdict", ""),
+    }
     values = [
         Value(key=k, value=v, source="contour", frames=18, text=words.get(k, ""))
         for k, v in (VALUES | change).items()
@@ -266,3 +271,34 @@ def test_frames_that_could_not_be_checked_are_named(count: int, shown: int) -> N
         names = ", ".join(f.name for f in frames[:shown])
         more = f" and {count - shown} more" if count > shown else ""
         assert gate.detail == names + more
+
+
+def finding(item: ObjectCheck, gate: str) -> GateFinding:
+    (found,) = (f for f in judged(item).objects[0].gates if f.gate == gate)
+    return found
+
+
+@pytest.mark.parametrize(("motion_mm", "fails"), [(1.0, False), (4.5, True)])
+def test_pixels_count_where_the_motion_is_not_small(motion_mm: float, fails: bool) -> None:
+    item = mug(edge_px=5.0, edge_chance_px=20.0, motion_mm=motion_mm, motion_deg=0.5, confirmed=1.0)
+    gate = gates(item)["edges"]
+    assert (gate.status, gate.value) == (("fail", 5.0) if fails else ("pass", 3.0))
+    assert bool(finding(item, "edges").exempt) != fails
+    assert verdict(item) == ("bad" if fails else "good")
+
+
+def test_a_mesh_of_another_shape_is_excused_with_its_reason() -> None:
+    item = mug(motion_mm=6.0, motion_deg=0.5, confirmed=1.0, texture=0.5, texture_verdict="fits")
+    assert gates(item)["motion"].value == 0
+    assert "another shape" in finding(item, "motion").exempt
+    assert any("another shape" in w.problem for w in judged(item).warnings)
+    plain = mug(motion_mm=6.0, motion_deg=0.5, confirmed=1.0)
+    assert gates(plain)["motion"].status == "fail" and not finding(plain, "motion").exempt
+
+
+def test_glass_is_exempt_from_evidence_and_stays_doubtful() -> None:
+    glass = mug(material="transparent", edge_support=0.1)
+    found = finding(glass, "evidence")
+    assert (found.value, found.verdict) == (1.0, "doubtful")
+    assert "glass" in found.exempt
+    assert gates(glass)["evidence"].value == 0
