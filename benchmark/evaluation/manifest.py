@@ -70,25 +70,33 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     released_loader: int = 0
 
 
-class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Setup and environment of a run; the environment is informative only.
+class _Run(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Environment of a run, informative only.
 
     Attributes:
         version_of_tool: version of this package.
-        label: name of the method in tables.
-        root: folder of the data.
-        weights: path of the weight file, as given.
         packages: versions of the numerical libraries.
         hardware: processor, cores and GPUs.
     """
 
     version_of_tool: str
+    packages: dict[str, str]
+    hardware: dict[str, str]
+
+
+class Manifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Setup and environment of a run; the environment is informative only.
+
+    Attributes:
+        label: name of the method in tables.
+        root: folder of the data.
+        weights: path of the weight file, as given.
+    """
+
     label: Name
     setup: Setup
     root: str
     weights: str
-    packages: dict[str, str]
-    hardware: dict[str, str]
 
 
 def circumstances() -> dict[str, Any]:
@@ -180,25 +188,19 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     scenes_sha256: str = ""
 
 
-class GraspManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GraspManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: version of this package.
         depth_label, planner_label: names of depth and planner in tables.
         planner_weights, depth_weights: paths of the weight files, as given.
-        packages: versions of the numerical libraries.
-        hardware: processor, cores and GPUs.
     """
 
-    version_of_tool: str
     depth_label: Name
     planner_label: Name
     setup: GraspSetup
     planner_weights: str
     depth_weights: str
-    packages: dict[str, str]
-    hardware: dict[str, str]
 
 
 class DumpSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -217,24 +219,18 @@ class DumpSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     frames: int
 
 
-class DumpManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DumpManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: version of this package.
         label: name of the grasps in tables.
         root, dump: folders of the data set and of the grasps.
-        packages: versions of the numerical libraries.
-        hardware: processor, cores and GPUs.
     """
 
-    version_of_tool: str
     label: Name
     setup: DumpSetup
     root: str
     dump: str
-    packages: dict[str, str]
-    hardware: dict[str, str]
 
 
 class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -262,19 +258,15 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     given_truth: bool = False
 
 
-class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PoseManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: version of this package.
         label, depth_label, fit: names of method, depth and fit in tables.
         root: folder of the data.
         weights, depth_weights: paths of the weight files, as given.
-        packages: versions of the numerical libraries.
-        hardware: processor, cores and GPUs.
     """
 
-    version_of_tool: str
     label: Name
     depth_label: Name
     fit: Name
@@ -282,8 +274,6 @@ class PoseManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     root: str
     weights: str
     depth_weights: str
-    packages: dict[str, str]
-    hardware: dict[str, str]
 
 
 class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -315,18 +305,12 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     columns: int = 1
 
 
-class BopManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class BopManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Setup and environment of a run; the environment is informative only.
 
     Attributes:
-        version_of_tool: version of this package.
         root: folder of the data.
-        packages: versions of the numerical libraries.
-        hardware: processor, cores and GPUs.
     """
 
-    version_of_tool: str
     setup: BopSetup
     root: str
-    packages: dict[str, str]
-    hardware: dict[str, str]

@@ -15,7 +15,7 @@ from benchmark.methods.registry import MethodOptions, shipped_weights
 from benchmark.recipes.frame_sets import FrameSet
 from benchmark.recipes.recipe_plan import Entry, Pack
 from benchmark.recipes.recipe_run import Trained, make_pack, train
-from benchmark.training.options import MineOptions, NormKind, TrainOptions
+from benchmark.training.options import BatchNormStatistics, MineOptions, TrainOptions
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
 
@@ -30,18 +30,18 @@ _PACK = (224, 126)
 
 @dataclass(frozen=True)
 class Tuning:
-    """Settings, loss and norms that the shipped weights were trained with; see their cards."""
+    """Settings of the training of the shipped weights; see their cards."""
 
     settings: Mapping[str, str] = field(default_factory=dict)
     loss: Mapping[str, str] = field(default_factory=dict)
-    norms: NormKind = "running"
+    batch_norm: BatchNormStatistics = "running"
 
 
 TUNINGS: dict[str, Tuning] = {
     "swindrnet": Tuning(
         {"dropout": "0", "drop_path": "0"},
         {"squared": "2", "slopes": "0.1", "normals": "0.03", "confidence": "0.15", "near": "1"},
-        norms="measured",
+        batch_norm="recomputed",
     ),
     "nlspn": Tuning(loss={"absolute": "1", "squared": "10", "farthest": "1.5", "objects": "4"}),
     "dfnet": Tuning(loss={"objects": "4"}),
@@ -126,7 +126,7 @@ def fine_tune(options: MineOptions) -> MineReport:
             preset=PRESET,
             settings=tuning.settings,
             loss=tuning.loss,
-            norms=tuning.norms,
+            batch_norm=tuning.batch_norm,
             weights=shipped,
             steps=options.steps,
             batch_size=options.batch_size,

@@ -25,8 +25,6 @@ from benchmark.restoring.options import Backend, MethodChoice
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import LARGEST_MEDIAN_DEPTH_M, Camera
 
-_GRAPHS_PRECISION = "fp32"
-
 
 @dataclass(frozen=True, eq=False)
 class RestoredFrame:

@@ -23,8 +23,8 @@ Change = Callable[[Tensor], Tensor]
 
 _PATCHES, _TONES, _NOISES, _GAPS = 0.1, 0.3, 0.2, 0.2  # shares of the images
 
-# Chances of an object to be measured otherwise, in a frame with such objects.
-_REPLACED_CLEAR, _REPLACED_OPAQUE = 0.6, 0.15
+# Chances that the depth of an object is replaced, in a frame with such objects.
+_DROPOUT_CLEAR, _DROPOUT_OPAQUE = 0.6, 0.15
 # Ways of it, as limits of a uniform draw: no depth, specks, background, true depth, then patches.
 _WAYS = (0.25, 0.4, 0.65, 0.75)
 _PATCH = 24  # px, size of patches
@@ -92,10 +92,10 @@ def jitter() -> Change:
 
 
 @torch.no_grad()
-def replace_objects(
+def drop_object_depth(
     depth: Tensor, true: Tensor, mask: Tensor, materials: Tensor, share: float
 ) -> Tensor:
-    """Sensor depth in which some objects are measured otherwise, in a share of the frames.
+    """Sensor depth in which that of some objects is replaced, in a share of the frames.
 
     Each such object has no depth at all, no depth in specks, the depth of what is behind it, its
     true depth, or patches of all of these. Glass and metal are chosen more often than the others.
@@ -110,7 +110,7 @@ def replace_objects(
     b, _, h, w = depth.shape
     on = depth.device
     clear = (materials == Material.SPECULAR) | (materials == Material.TRANSPARENT)
-    hit = torch.rand(b, 256, device=on) < torch.where(clear, _REPLACED_CLEAR, _REPLACED_OPAQUE)
+    hit = torch.rand(b, 256, device=on) < torch.where(clear, _DROPOUT_CLEAR, _DROPOUT_OPAQUE)
     hit &= torch.rand(b, 1, device=on) < share
     hit[:, 255] = False
 
@@ -140,7 +140,7 @@ def replace_objects(
 
 
 @torch.no_grad()
-def pasted(inputs: ModelInput, share: float) -> ModelInput:
+def copy_paste(inputs: ModelInput, share: float) -> ModelInput:
     """Objects of other frames of the batch among those of a share of the frames (Ghiasi et al.,
     CVPR 2021), each where it stood in its own frame and in front of or behind what is there.
 

@@ -14,8 +14,8 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from benchmark.methods.weights import save_weights
+from benchmark.training.batch_norm import BATCH_NORM_FRAMES
 from benchmark.training.module import RestorerTraining
-from benchmark.training.norms import NORM_FRAMES
 from benchmark.training.run_files import BEST, CHECKPOINT, SCORES, Rows, Speed
 from benchmark.training.validation import Validator
 from std_toolkit.errors import ToolkitError
@@ -111,9 +111,9 @@ class Watch(pl.Callback):
 
     def _validate(self, trainer: pl.Trainer, module: RestorerTraining) -> None:
         network, device, step = module.network, module.device, trainer.global_step
-        if module.config.norms == "measured":
-            frames = trainer.datamodule.first(NORM_FRAMES)  # type: ignore[attr-defined]  # Loaders
-            module.measure_norms(frames)
+        if module.config.batch_norm == "recomputed":
+            frames = trainer.datamodule.first(BATCH_NORM_FRAMES)  # type: ignore[attr-defined]  # Loaders
+            module.recompute_batch_norm(frames)
         states = self.validator.states(
             network,
             device,

@@ -11,7 +11,7 @@ from typing import Literal
 import torch
 from torch import nn
 
-from benchmark.training.options import NormKind, Precision
+from benchmark.training.options import BatchNormStatistics, Precision
 from benchmark.training.step import StepInfo
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import artefact
@@ -109,10 +109,10 @@ class TrainConfig:
         colors: whether colour is augmented as published for SwinDRNet.
         jitter: whether brightness, contrast and saturation are, as published for NLSPN.
         geometry: whether frames are turned, mirrored and enlarged, as published for NLSPN.
-        replace: share of the frames in which some objects are measured otherwise.
-        paste: share of the frames into which objects of another frame are put.
-        norms: whether trained weights normalise by running means over the last batches, as
-            published, or by statistics that are measured before each validation.
+        object_dropout: share of the frames in which the depth of some objects is replaced.
+        copy_paste: share of the frames into which objects of another frame are pasted.
+        batch_norm: whether trained weights normalise by running means over the last batches, as
+            published, or by statistics that are recomputed before each validation.
         validate_every, checkpoint_every: steps; the first a multiple of the second.
         training, validation: hashes over the frames.
         beginning: hash of the file of weights to begin with, and of what it is; empty for none.
@@ -131,9 +131,9 @@ class TrainConfig:
     colors: bool = True
     jitter: bool = False
     geometry: bool = False
-    replace: float = 0.0
-    paste: float = 0.0
-    norms: NormKind = "running"
+    object_dropout: float = 0.0
+    copy_paste: float = 0.0
+    batch_norm: BatchNormStatistics = "running"
     validate_every: int
     checkpoint_every: int
     training: str
@@ -154,7 +154,7 @@ class TrainConfig:
                 field="validate_every",
                 value=self.validate_every,
             )
-        for name in ("replace", "paste"):
+        for name in ("object_dropout", "copy_paste"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ToolkitError("must be in [0, 1]", field=name, value=getattr(self, name))
 

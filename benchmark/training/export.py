@@ -17,8 +17,8 @@ from safetensors.torch import save
 
 from benchmark.methods.registry import grasp_planners, pose_methods, restorers, sha256_of
 from benchmark.methods.weights import read_weights
+from benchmark.training.batch_norm import BATCH_NORM_FRAMES
 from benchmark.training.config import CONFIG
-from benchmark.training.norms import NORM_FRAMES
 from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
 from std_toolkit import __version__
@@ -171,18 +171,19 @@ def _how(
     ]
     if config["geometry"]:
         rows.append(("augmented", "frames turned, mirrored and enlarged, beside colour"))
-    if config.get("replace"):
+    if config.get("object_dropout"):
         rows.append(
             (
-                "measured otherwise",
-                f"objects in {config['replace']:g} of the frames have no depth, that of the "
+                "object-depth dropout",
+                f"objects in {config['object_dropout']:g} of the frames have no depth, that of the "
                 "background, or the true one, drawn at every step",
             )
         )
-    if config.get("paste"):
-        rows.append(("pasted", f"objects of another frame into {config['paste']:g} of the frames"))
-    if config.get("norms") == "measured":
-        rows.append(("batch normalisation", f"measured over {NORM_FRAMES} frames"))
+    if config.get("copy_paste"):
+        share = config["copy_paste"]
+        rows.append(("copy-paste", f"objects of another frame into {share:g} of the frames"))
+    if config.get("batch_norm") == "recomputed":
+        rows.append(("batch-norm statistics", f"recomputed over {BATCH_NORM_FRAMES} frames"))
     if config.get("beginning") and not note.earlier:
         rows.append(("began with", f"{config['beginning']} (hash of the file)"))
     for stage in note.earlier:

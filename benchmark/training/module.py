@@ -12,7 +12,7 @@ import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
-from benchmark.training import norms
+from benchmark.training import batch_norm
 from benchmark.training.config import TrainConfig, seed_of
 from benchmark.training.step import Batch, ModelInput, StepFunction, model_input
 from std_toolkit.errors import ToolkitError
@@ -56,8 +56,8 @@ class RestorerTraining(pl.LightningModule):
 
             self._change_color.append(ColorAugmentation())
 
-    def measure_norms(self, batches: Iterable[Batch]) -> None:
-        """Measure the statistics of batch normalisation; see `benchmark.training.norms`."""
+    def recompute_batch_norm(self, batches: Iterable[Batch]) -> None:
+        """Recompute the batch-norm statistics; see `benchmark.training.batch_norm`."""
         info = self.config.step_info(self.global_step)
 
         def run(batch: Batch) -> None:
@@ -65,7 +65,7 @@ class RestorerTraining(pl.LightningModule):
             with self.trainer.precision_plugin.forward_context():
                 self.step(self.network, self.loss, model_input(on), info)
 
-        norms.measure_norms(self.network, batches, run)
+        batch_norm.recompute_batch_norm(self.network, batches, run)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         part = batch_idx % self.config.accumulate
@@ -101,10 +101,10 @@ class RestorerTraining(pl.LightningModule):
         }
 
     def _augmented(self, inputs: ModelInput) -> ModelInput:
-        if self.config.paste:
-            from benchmark.training.augmentation import pasted
+        if self.config.copy_paste:
+            from benchmark.training.augmentation import copy_paste
 
-            inputs = pasted(inputs, self.config.paste)
+            inputs = copy_paste(inputs, self.config.copy_paste)
         if self.config.geometry:
             from benchmark.training.augmentation import moved
 
@@ -112,11 +112,11 @@ class RestorerTraining(pl.LightningModule):
         color, depth, batch = inputs
         for change in self._change_color:
             color = change(color)
-        if self.config.replace:
-            from benchmark.training.augmentation import replace_objects
+        if self.config.object_dropout:
+            from benchmark.training.augmentation import drop_object_depth
 
-            depth = replace_objects(
-                depth, batch["true"], batch["mask"], batch["materials"], self.config.replace
+            depth = drop_object_depth(
+                depth, batch["true"], batch["mask"], batch["materials"], self.config.object_dropout
             )
         return ModelInput(color, depth, batch)
 

@@ -19,7 +19,7 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Precision = Literal["fp32", "bf16"]
-NormKind = Literal["running", "measured"]
+BatchNormStatistics = Literal["running", "recomputed"]
 DepthKind = Literal["float32", "float16"]
 ColorWay = Literal["cubic", "area", "nearest"]
 RawKind = Literal["sensor", "cut"]
@@ -73,14 +73,15 @@ class TrainOptions:
     """colour augmentation: SwinDRNet's (on), NLSPN's (jitter)"""
     geometry: Literal["published", "on", "off"] = "published"
     """turn, mirror and enlarge frames"""
-    replace: Share = 0.0
-    """share of the frames in which some objects have no depth, that of the background, or the true
-    one"""
-    paste: Share = 0.0
-    """share of the frames into which objects of another frame of the batch are put"""
-    norms: NormKind = "running"
-    """statistics of batch normalisation in validated and saved weights: running means over the last
-    batches, as published, or measured over 400 frames before each validation"""
+    object_dropout: Share = 0.0
+    """object-depth dropout: share of the frames in which some objects have no depth, that of the
+    background, or the true one"""
+    copy_paste: Share = 0.0
+    """copy-paste augmentation: share of the frames into which objects of another frame of the batch
+    are pasted"""
+    batch_norm: BatchNormStatistics = "running"
+    """batch-norm statistics of validated and saved weights: running means over the last batches, as
+    published, or recomputed over 400 frames before each validation"""
     precision: Precision = "fp32"
     """arithmetic of the network"""
     seed: int = 0

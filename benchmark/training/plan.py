@@ -46,7 +46,10 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Dat
     if every is None:
         every = max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
     about_an_epoch = max(1, round(min(order.steps_per_epoch, steps) / max(1, every))) * every
-    copied = ("method", "preset", "accumulate", "precision", "seed", "replace", "paste", "norms")
+    copied = (
+        "method", "preset", "accumulate", "precision", "seed", "object_dropout", "copy_paste",
+        "batch_norm",
+    )  # fmt: skip
     config = TrainConfig(
         **{name: getattr(options, name) for name in copied},
         settings=settings,
@@ -63,10 +66,12 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Dat
         validation=frame_order.frames_digest(data.validation, data.of_validation),
         beginning=_digest(options),
     )
-    if not trainable.images and (config.colors or config.jitter or config.replace or config.paste):
+    if not trainable.images and (
+        config.colors or config.jitter or config.object_dropout or config.copy_paste
+    ):
         raise ToolkitError(
             "the method is trained on clouds: there are no images to augment",
-            field="--colors, --replace, --paste",
+            field="--colors, --object-dropout, --copy-paste",
             value=options.method,
         )
     return config, data, fit.Beginning(options.weights, options.imagenet)

@@ -52,12 +52,6 @@ class BoardSheet:
     tag_mm: float
     places: tuple[tuple[int, float, float], ...]
 
-    @property
-    def free_mm(self) -> tuple[float, float]:
-        """Width and height of the free middle."""
-        inner = [2 * max(abs(place[k]) for place in self.places) - self.tag_mm for k in (1, 2)]
-        return inner[0], inner[1]
-
     def document(self) -> dict[str, object]:
         """The board's JSON: corners of each tag in millimetres, in OpenCV's order."""
         half = self.tag_mm / 2

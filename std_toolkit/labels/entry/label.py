@@ -18,7 +18,6 @@ from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,
     Label,
     LabelProvenance,
-    Labels,
     Material,
     Model,
     Object,
@@ -262,12 +261,6 @@ def annotated_label(
         views={str(f): poses[f] for f in sorted(poses) if f != frame},
         provenance=provenance,
     )
-
-
-def remove_label(scene: Scene, object_name: str) -> None:
-    """Remove the label of an object; the object is kept. The caller holds the scene's lock."""
-    target = scene.objects.object_named(object_name)
-    scene.save_labels(Labels(labels=[x for x in scene.labels.labels if x.object != target.id]))
 
 
 def _free_id(root: Path, objects: ObjectTable, wanted: str, files: dict[str, bytes]) -> str:

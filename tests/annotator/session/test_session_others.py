@@ -20,7 +20,7 @@ from annotator.session import (
 from annotator.session.merge import differ
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import scene_lock
-from std_toolkit.scene import Scene
+from std_toolkit.scene import Labels, Scene
 
 
 class TestOthers:
@@ -145,9 +145,9 @@ class TestOthers:
         with Session.open(several) as session:
             session.apply(Move(object="two_views", frame=0, shift_mm=[1, 0, 0]))
             scene = Scene.open(several)
-            from std_toolkit.labels.entry.label import remove_label
-
-            remove_label(scene, "two_views")
+            gone = scene.objects.object_named("two_views").id
+            kept = [label for label in scene.labels.labels if label.object != gone]
+            scene.save_labels(Labels(labels=kept))
             with pytest.raises(ToolkitError, match="others changed"):
                 session.save()
 

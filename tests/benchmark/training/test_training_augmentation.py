@@ -85,7 +85,7 @@ def test_coarse_gaps_are_about_two_percent():
 
 def test_objects_are_measured_otherwise_and_the_background_is_not():
     from benchmark.data.frame import Material
-    from benchmark.training.augmentation import replace_objects
+    from benchmark.training.augmentation import drop_object_depth
 
     b = 400
     slope = torch.linspace(0.9, 1.1, 48).expand(b, 32, 48)
@@ -96,7 +96,7 @@ def test_objects_are_measured_otherwise_and_the_background_is_not():
     true = torch.where(mask == 255, slope, 0.7)
     depth = torch.where(mask == 1, 0.5, true)[:, None]  # the sensor is wrong on glass
     torch.manual_seed(0)
-    found = replace_objects(depth, true, mask, materials, 1.0)[:, 0]
+    found = drop_object_depth(depth, true, mask, materials, 1.0)[:, 0]
     changed = found != depth[:, 0]
     assert not changed[mask == 255].any()
     glass, wood = (
@@ -115,7 +115,7 @@ def test_objects_are_measured_otherwise_and_the_background_is_not():
         assert 0.03 < (share > of).float().mean() < 0.3
     patched = (glass_depth == 0.5).any(dim=1) & (glass_depth > 0.8).any(dim=1)
     assert patched.float().mean() > 0.05
-    again = replace_objects(depth, true, mask, materials, 0.0)
+    again = drop_object_depth(depth, true, mask, materials, 0.0)
     assert torch.equal(again, depth)
     torch.manual_seed(0)
-    assert torch.equal(replace_objects(depth, true, mask, materials, 1.0)[:, 0], found)
+    assert torch.equal(drop_object_depth(depth, true, mask, materials, 1.0)[:, 0], found)

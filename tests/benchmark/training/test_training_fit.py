@@ -288,8 +288,8 @@ def test_waiting_for_data_is_told(monkeypatch):
         ("--method dfnet", "--out, --data: needed", 2),
         ("--method dfnet --data x --out y --loss a", "--loss: expected NAME=VALUE", 2),
         (
-            "--method dfnet --data x --out y --replace 2",
-            "--replace: must be at most 1 (got 2.0)",
+            "--method dfnet --data x --out y --object-dropout 2",
+            "--object-dropout: must be at most 1 (got 2.0)",
             2,
         ),
         ("--method dfnet --data nowhere --out y", "no folder of packed frames", 1),

@@ -204,7 +204,7 @@ def test_small_networks_are_trained_and_shipped(
     run = tmp_path / "run"
     words = ["--method", method, "--preset", "small", "--data", str(pack), "--out", str(run)]
     words += ["--steps", "2", "--batch-size", "2", "--hold-out", "0.3", "--readers", "0"]
-    words += ["--accelerator", "cpu", "--set", f"input_size={SIDE},{SIDE}", "--paste", "0.5"]
+    words += ["--accelerator", "cpu", "--set", f"input_size={SIDE},{SIDE}", "--copy-paste", "0.5"]
     words += ["--geometry", "on"] if method == "swindrnet-nocs" else []
     assert main(words) == 0
     state = {k: t.half() for k, t in load_file(run / "best.safetensors").items()}

@@ -36,7 +36,9 @@ def test_interrupted_and_resumed_ends_with_the_same_bits(method, at, pack, tmp_p
     """Step 3 stands between two checkpoints, step 4 right behind one and before its validation."""
     from benchmark.training.module import RestorerTraining
 
-    asked = wishes(method, pack, colors="on", replace=0.5, accumulate=2, norms="measured")
+    asked = wishes(
+        method, pack, colors="on", object_dropout=0.5, accumulate=2, batch_norm="recomputed"
+    )
     whole = trained(asked, tmp_path / "whole")
 
     plain = RestorerTraining.training_step

@@ -58,7 +58,8 @@ def test_ruler_is_100_mm(tmp_path: Path) -> None:
 
 def test_middle_is_free_and_two_boards_differ() -> None:
     sheet = make_board_sheet("a4")
-    assert min(sheet.free_mm) > 100
+    farthest = [max(abs(place[k]) for place in sheet.places) for k in (1, 2)]
+    assert 2 * min(farthest) - sheet.tag_mm > 100
     other = make_board_sheet("a4", first_id=len(sheet.places))
     assert not {p[0] for p in sheet.places} & {p[0] for p in other.places}
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import cv2
 import numpy as np
@@ -44,7 +44,22 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class ContourRows:
+class _Rows:
+    """What residuals of any kind have in common; see the kinds."""
+
+    residual: Array
+    pose: Array
+    scale: Array
+    view: int
+    points: Array
+
+    def after(self, step: Step) -> Self:
+        """The same rows once a small step was made, to first order."""
+        return replace(self, residual=self.residual - self.pose @ step.xi - self.scale * step.scale)
+
+
+@dataclass(frozen=True, eq=False)
+class ContourRows(_Rows):
     """Edge residuals of one object in one view with their derivatives.
 
     Attributes:
@@ -57,22 +72,12 @@ class ContourRows:
         spacing: pixels of the contour per sample.
     """
 
-    residual: Array
-    pose: Array
-    scale: Array
     weight: Array
-    view: int
-    points: Array
     spacing: float
-
-    def after(self, step: Step) -> ContourRows:
-        """The same rows once a small step was made, to first order."""
-        left = self.residual - self.pose @ step.xi - self.scale * step.scale
-        return replace(self, residual=left)
 
 
 @dataclass(frozen=True, eq=False)
-class DepthRows:
+class DepthRows(_Rows):
     """Depth residuals of one object in one view with their derivatives.
 
     Attributes:
@@ -83,21 +88,16 @@ class DepthRows:
         points: (N, 3) of the object, mesh frame.
     """
 
-    residual: Array
-    pose: Array
-    scale: Array
     factor: Array
-    view: int
-    points: Array
 
-    def after(self, step: Step) -> DepthRows:
+    def after(self, step: Step) -> Self:
         """The same rows once a small step was made, to first order."""
-        left = self.residual - self.pose @ step.xi - self.scale * step.scale
-        return replace(self, residual=left + self.factor * step.factor)
+        after = super().after(step)
+        return replace(after, residual=after.residual + self.factor * step.factor)
 
 
 @dataclass(frozen=True, eq=False)
-class TextureRows:
+class TextureRows(_Rows):
     """Residuals of matched points of a texture in one view with their derivatives.
 
     Attributes:
@@ -107,17 +107,6 @@ class TextureRows:
         view: index of the view.
         points: (N, 3) of the object, mesh frame.
     """
-
-    residual: Array
-    pose: Array
-    scale: Array
-    view: int
-    points: Array
-
-    def after(self, step: Step) -> TextureRows:
-        """The same rows once a small step was made, to first order."""
-        left = self.residual - self.pose @ step.xi - self.scale * step.scale
-        return replace(self, residual=left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +189,9 @@ def contour_rows(
         _pose_derivative(g_world, X_world, T_world_obj),
         # A larger scale moves the camera away from the world's origin.
         -g_world @ T_world_cam.t,
-        weight,
         view,
         T_world_obj.inverse() @ X_world,
+        weight,
         spacing,
     )
 
@@ -218,9 +207,9 @@ def depth_rows(
         residual,
         _pose_derivative(n, samples.points, T_world_obj),
         -n @ T_world_cam.t,
-        along * samples.measured,
         view,
         T_world_obj.inverse() @ samples.points,
+        along * samples.measured,
     )
 
 

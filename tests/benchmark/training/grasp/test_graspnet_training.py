@@ -90,7 +90,7 @@ def test_what_does_not_fit_is_refused(two_scenes, grasp_pack, tmp_path):
         plan_training(wishes(two_scenes, validation=[grasp_pack]))
     with pytest.raises(ToolkitError, match="no folder of packed grasps"):
         plan_training(wishes(tmp_path))
-    for augmented in ({"colors": "on"}, {"replace": 0.5}):
+    for augmented in ({"colors": "on"}, {"object_dropout": 0.5}):
         with pytest.raises(ToolkitError, match="no images to augment"):
             plan_training(wishes(two_scenes, **augmented))
 

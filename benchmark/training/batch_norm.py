@@ -1,4 +1,4 @@
-"""Statistics of batch normalisation, measured over many frames.
+"""Batch-norm statistics, recomputed over many frames.
 
 A network in training normalises by the statistics of each batch; a trained one by running means of
 them, of which the last ten batches decide most. Where a batch has few numbers for each channel, as
@@ -16,11 +16,11 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from benchmark.training.step import Batch
 
-NORM_FRAMES = 400  # that statistics are measured over
+BATCH_NORM_FRAMES = 400  # that statistics are recomputed over
 
 
 @torch.no_grad()
-def measure_norms(
+def recompute_batch_norm(
     network: nn.Module, batches: Iterable[Batch], run: Callable[[Batch], Any]
 ) -> None:
     """Set the running statistics to their means over batches, and nothing else.

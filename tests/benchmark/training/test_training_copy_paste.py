@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from benchmark.training import augmentation
-from benchmark.training.augmentation import moved, pasted
+from benchmark.training.augmentation import copy_paste, moved
 from benchmark.training.step import ModelInput
 
 H, W = 24, 32
@@ -39,7 +39,7 @@ def test_pasted_objects_stand_in_front_of_what_is_farther(monkeypatch):
     monkeypatch.setattr(augmentation, "_TAKEN", 1.0)
     torch.manual_seed(0)
     seen = two_frames()
-    found = pasted(seen, 1.0)
+    found = copy_paste(seen, 1.0)
     mask = found.batch["mask"]
     mug, car = 2 + 127, 3 + 127
     assert (mask[0, 4:12, 8:16] == mug).all()  # in front of a part of the bottle
@@ -61,9 +61,9 @@ def test_pasted_objects_stand_in_front_of_what_is_farther(monkeypatch):
 def test_nothing_is_pasted_into_a_share_of_0_or_from_a_single_frame(monkeypatch):
     monkeypatch.setattr(augmentation, "_TAKEN", 1.0)
     seen = two_frames()
-    assert torch.equal(pasted(seen, 0.0).batch["mask"], seen.batch["mask"])
+    assert torch.equal(copy_paste(seen, 0.0).batch["mask"], seen.batch["mask"])
     one = ModelInput(seen.color[:1], seen.depth[:1], {k: v[:1] for k, v in seen.batch.items()})
-    assert torch.equal(pasted(one, 1.0).batch["mask"], one.batch["mask"])
+    assert torch.equal(copy_paste(one, 1.0).batch["mask"], one.batch["mask"])
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
