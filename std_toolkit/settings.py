@@ -111,14 +111,29 @@ def in_force() -> tuple[Settings, ...]:
     return tuple(sorted((s for s in _ACTIVE.values() if s != type(s)()), key=lambda one: one.group))
 
 
-def changed() -> dict[str, Any]:
-    """Return the limits that differ from the defaults, by "GROUP.FIELD"; results record them."""
-    return {
-        f"{one.group}.{field.name}": getattr(one, field.name)
-        for one in in_force()
-        for field in dataclasses.fields(one)
-        if getattr(one, field.name) != getattr(type(one)(), field.name)
-    }
+def changed() -> dict[str, float]:
+    """Return the limits that differ from the defaults, by "GROUP.FIELD"; results record them.
+
+    Numbers of a tuple and of a mapping are named "GROUP.FIELD.INDEX" and "GROUP.FIELD.KEY".
+    """
+    found = {}
+    for one in in_force():
+        default = type(one)()
+        for field in dataclasses.fields(one):
+            usual = dict(_numbers(getattr(default, field.name)))
+            for part, value in _numbers(getattr(one, field.name)):
+                if value != usual.get(part):
+                    found[".".join((one.group, field.name, *part))] = value
+    return found
+
+
+def _numbers(value: Any) -> Iterator[tuple[tuple[str, ...], float]]:
+    if isinstance(value, Mapping):
+        yield from (((str(key),), float(number)) for key, number in value.items())
+    elif isinstance(value, tuple):
+        yield from (((str(index),), float(number)) for index, number in enumerate(value))
+    else:
+        yield (), float(value)
 
 
 def read_settings(path: Path) -> tuple[Settings, ...]:

@@ -192,6 +192,7 @@ def _drawing_orders(
     frames: list[Frame], objects: list[result.ObjectCheck], options: CheckOptions
 ) -> list[overlay.DrawingOrder]:
     """Whole spread frames; close-ups of every object in annotated, worst and spread frames."""
+    limits = coverage.CoverageSettings.current()
     whole = [f.id for f in spread(frames, max(options.overlay_frames, 1))]
     if options.overlay_frames == 0:
         whole = []
@@ -200,9 +201,7 @@ def _drawing_orders(
     known = {f.id for f in frames}
     closeups: dict[int, set[int]] = {}
     for item in objects:
-        seen = [
-            f for f in item.frames if f.visible_fraction >= coverage.SEEN_FRACTION
-        ] or item.frames
+        seen = [f for f in item.frames if f.visible_fraction >= limits.seen_fraction] or item.frames
         if not seen or not whole:
             continue
         chosen = {seen[i].frame for i in _even(len(seen), _CLOSEUPS)}
@@ -234,9 +233,10 @@ def _even(length: int, count: int) -> list[int]:
 def _sky(
     scene: Scene, objects: list[result.ObjectCheck], up: NDArray[np.float64]
 ) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64], list[result.ObjectFrameCheck]]]:
+    limits = coverage.CoverageSettings.current()
     views = {}
     for item in objects:
-        seen = [f for f in item.frames if f.visible_fraction >= coverage.SEEN_FRACTION]
+        seen = [f for f in item.frames if f.visible_fraction >= limits.seen_fraction]
         found = coverage.view_directions(scene, item.object, [f.frame for f in seen], up)
         if found is not None:
             views[item.object] = (*found, seen)

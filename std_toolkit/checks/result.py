@@ -341,7 +341,8 @@ class CheckReport(Document, frozen=True, kw_only=True):
         passed: whether no gate failed.
         verdict: one line.
         missing: what the scene lacks, one sentence each.
-        limits: the options of the check.
+        limits: the options of the check, and the limits of `--settings` that differ from the
+            defaults.
         detectability: smallest faults that the gates catch; null without `--inject`.
     """
 

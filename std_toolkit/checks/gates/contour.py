@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from std_toolkit.checks.gates.gate import (
     Measured,
@@ -13,19 +14,31 @@ from std_toolkit.checks.gates.gate import (
     unseen,
 )
 from std_toolkit.checks.gates.motion import is_small
-from std_toolkit.checks.measure.coverage import NARROW_DEG
+from std_toolkit.checks.measure.coverage import CoverageSettings
 from std_toolkit.checks.result import CheckWarning, Number, ObjectCheck, Severity
 from std_toolkit.options import CheckOptions
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# With fewer frames that have a shift, drift cannot be distinguished from a mismatch.
-FEWEST_DRIFT_FRAMES = 5
-# Edge distances above this fraction of the distance by chance are not significant.
-CHANCE_PART = 0.6
-# A best shift in this fraction of the frames is sufficient evidence despite texture.
-ENOUGH_SHIFTS = 0.5
-_LARGE_OFFSET_MM = 3.0
-_LOW_VISIBILITY = 0.5
-_LARGE_STEP_DEG = 30.0
+
+@dataclass(frozen=True, kw_only=True)
+class ContourSettings(Settings):
+    """When a contour, a shift or a drift says something of a label."""
+
+    fewest_drift_frames: int = limit(
+        5,
+        source="with fewer, drift cannot be distinguished from a mismatch",
+    )
+    """frames with a shift that drift needs"""
+    chance_part: float = limit(0.6, source=NOT_RECORDED)
+    """edge distances above this fraction of the distance by chance are not significant"""
+    enough_shifts: float = limit(0.5, source=NOT_RECORDED)
+    """a best shift in this fraction of the frames is sufficient evidence despite texture"""
+    large_offset_mm: float = limit(3.0, unit="mm", source=NOT_RECORDED)
+    """a larger translation that all frames share brings a warning"""
+    low_visibility: float = limit(0.5, source=NOT_RECORDED)
+    """a smaller visible fraction brings a warning"""
+    large_step_deg: float = limit(30.0, unit="deg", source=NOT_RECORDED)
+    """a larger gap between views brings a warning"""
 
 
 def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
@@ -36,13 +49,15 @@ def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
 
 def is_uninformative(item: ObjectCheck) -> bool:
     """Whether random contours nearby are as close to image edges as the label."""
+    limits = ContourSettings.current()
     edge, chance = item.value("edge_px"), item.value("edge_chance_px")
-    return edge is not None and chance is not None and edge > CHANCE_PART * chance
+    return edge is not None and chance is not None and edge > limits.chance_part * chance
 
 
 def shift_px(item: ObjectCheck, options: CheckOptions) -> Number:
     """The shift of the label against the image, if enough frames have a clear one."""
-    reliable = has_edges(item, options) and (item.value("shift_share") or 0) >= ENOUGH_SHIFTS
+    limits = ContourSettings.current()
+    reliable = has_edges(item, options) and (item.value("shift_share") or 0) >= limits.enough_shifts
     return item.value("shift_px") if reliable else None
 
 
@@ -83,10 +98,11 @@ def _pixels(item: ObjectCheck, value: Number, limit: float, measured: Measured) 
 
 
 def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
+    limits = ContourSettings.current()
     drift = item.entry("drift_px")
     if drift is None or item.material == "transparent":
         return None
-    reliable = drift.frames >= FEWEST_DRIFT_FRAMES and has_edges(item, measured.options)
+    reliable = drift.frames >= limits.fewest_drift_frames and has_edges(item, measured.options)
     return Reading(drift.value) if reliable else None
 
 
@@ -122,6 +138,7 @@ def _weak_evidence(measured: Measured) -> Iterable[CheckWarning]:
 
 def _lacks(item: ObjectCheck, options: CheckOptions) -> Iterable[tuple[Severity, str, str]]:
     """Severity, problem and advice for each thing that the images of an object lack."""
+    limits = ContourSettings.current()
     if item.frames_seen == 0:
         yield "high", "is not visible in any measured frame", "check its label and mesh"
         return
@@ -141,27 +158,27 @@ def _lacks(item: ObjectCheck, options: CheckOptions) -> Iterable[tuple[Severity,
         )
     offset = item.value("offset_mm") or 0
     pooled = item.value("motion_mm") is None and has_edges(item, options)
-    if pooled and offset > _LARGE_OFFSET_MM:
+    if pooled and offset > limits.large_offset_mm:
         yield (
             "medium",
             f"all frames together place it {offset:.1f} mm from its label",
             "run `std-curate propagate --refine`",
         )
     parallax, step = item.value("parallax_deg"), item.value("largest_step_deg") or 0
-    if parallax is not None and parallax < NARROW_DEG:
+    if parallax is not None and parallax < CoverageSettings.current().narrow_deg:
         yield (
             "medium",
             f"was seen over only {parallax:.0f} degrees: its depth is weakly determined",
             "record a wider sweep around it",
         )
-    if step > _LARGE_STEP_DEG:
+    if step > limits.large_step_deg:
         yield (
             "low",
             f"its views have a gap of {step:.0f} degrees",
             "record the missing directions if you need them",
         )
     visible = item.value("visible_fraction")
-    if visible is not None and visible < _LOW_VISIBILITY:
+    if visible is not None and visible < limits.low_visibility:
         yield (
             "low",
             f"is half occluded in most frames (visible {100 * visible:.0f} %)",

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from math import hypot
 
 from std_toolkit.checks.gates.gate import Measured, ObjectGate, Reading, Readings, SceneGate
 from std_toolkit.checks.result import CheckWarning, Number, ObjectCheck, SceneSummary
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Sensors of this class are biased by 1 to 2 percent; a larger common residual has another cause.
-LARGEST_DEPTH_BIAS = 0.025
-# Fewer outlines do not determine the shift of depth.
-_FEWEST_OUTLINES = 3
 # The shift must exceed its limit by this many standard deviations to fail.
 _SIGMAS = 2.0
-_LARGE_BIAS = 0.004
-_GOOD_COMPLETENESS = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthSettings(Settings):
+    """When sensor depth says something of a label."""
+
+    largest_bias: float = limit(
+        0.025,
+        source="sensors of this class are biased by 1 to 2 %; a larger common residual has "
+        "another cause",
+    )
+    """largest common residual that is taken for a bias of the sensor"""
+    fewest_outlines: int = limit(3, source=NOT_RECORDED)
+    """outlines that determine the shift of depth"""
+    large_bias: float = limit(0.004, source=NOT_RECORDED)
+    """a larger bias brings a warning"""
+    good_completeness: float = limit(0.8, source=NOT_RECORDED)
+    """a smaller fraction of measured pixels on diffuse surfaces brings a warning"""
 
 
 def scale_share(summary: SceneSummary) -> float:
@@ -31,7 +45,7 @@ def scale_share(summary: SceneSummary) -> float:
         chosen = [e for e in summary.scale.estimates if e.source == summary.scale.chosen]
         share = max([share, *(e.standard_error for e in chosen)])
     bias = abs(summary.depth_bias or 0.0)
-    return max(share, bias if bias <= LARGEST_DEPTH_BIAS else 0.0)
+    return max(share, bias if bias <= DepthSettings.current().largest_bias else 0.0)
 
 
 def depth_excess_mm(item: ObjectCheck, share: float) -> Number:
@@ -58,8 +72,9 @@ def depth_shift_words(shift_px: Sequence[float]) -> str:
 
 
 def _alignment(measured: Measured) -> Reading | None:
+    limits = DepthSettings.current()
     summary = measured.summary
-    if summary.depth_shift_px is None or summary.depth_shifts < _FEWEST_OUTLINES:
+    if summary.depth_shift_px is None or summary.depth_shifts < limits.fewest_outlines:
         return None
     return Reading(
         hypot(*summary.depth_shift_px),
@@ -70,8 +85,9 @@ def _alignment(measured: Measured) -> Reading | None:
 
 
 def _bias_and_holes(measured: Measured) -> Iterable[CheckWarning]:
+    limits = DepthSettings.current()
     bias = measured.summary.depth_bias
-    if bias is not None and abs(bias) > _LARGE_BIAS:
+    if bias is not None and abs(bias) > limits.large_bias:
         yield CheckWarning(
             severity="low",
             about="sensor depth",
@@ -83,7 +99,7 @@ def _bias_and_holes(measured: Measured) -> Iterable[CheckWarning]:
     for m in measured.materials:
         if m.material not in DIFFUSE_MATERIALS or m.completeness is None:
             continue
-        if m.completeness < _GOOD_COMPLETENESS:
+        if m.completeness < limits.good_completeness:
             yield CheckWarning(
                 severity="low",
                 about="sensor depth",

@@ -28,27 +28,48 @@ from std_toolkit.checks.gates.gate import (
 from std_toolkit.checks.result import CheckWarning, FrameCheck, ObjectCheck, ObjectFrameCheck
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Margin: share of the contour on image edges, minus that of displaced contours. A label fits above
 # the first part of the margin that is usual for the object, and does not fit below the second.
-_FITS = 0.55
-_OFF = 0.4
-# A smaller margin is no fit.
-_LEAST_MARGIN = 0.12
 # A witness fits in at least this many frames and this share of them, with this margin.
-_FEWEST_FITS = 2
-_SHARE_OF_FITS = 0.3
-_CLEAR = 0.25
 # Where a camera pose is wrong, nearly all witnesses do not fit.
-_CAMERA_SHARE = 0.6
-_FEWEST_WITNESSES = 2
 # Frames in a row without a fit: at least this number, and this share of all; a hand in front of an
 # object hides it for a moment. The part of single frames that may contradict a motion.
-_FEWEST_MOVED = 3
-_SHARE_MOVED = 0.06
-_CONTRADICTION = 0.2
 # Names of frames in a row of the report.
 _MOST_NAMES = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameSettings(Settings):
+    """When a label fits in a frame, and what follows for camera and object."""
+
+    fits: float = limit(0.55, source=NOT_RECORDED)
+    """a label fits above this part of the margin that is usual for the object; margin: share of
+    the contour on edges minus that of displaced contours"""
+    off: float = limit(0.4, source=NOT_RECORDED)
+    """a label does not fit below this part of the usual margin"""
+    smallest_margin: float = limit(0.12, source=NOT_RECORDED)
+    """a smaller margin is no fit"""
+    fewest_fits: int = limit(2, source=NOT_RECORDED)
+    """frames in which a witness fits"""
+    share_of_fits: float = limit(0.3, source=NOT_RECORDED)
+    """share of its frames in which a witness fits"""
+    clear: float = limit(0.25, source=NOT_RECORDED)
+    """usual margin of a witness"""
+    camera_share: float = limit(
+        0.6,
+        source="where a camera pose is wrong, nearly all witnesses do not fit",
+    )
+    """share of the witnesses that do not fit where a camera pose is wrong"""
+    fewest_witnesses: int = limit(2, source=NOT_RECORDED)
+    """witnesses against a camera pose"""
+    fewest_moved: int = limit(3, source="a hand in front of an object hides it for a moment")
+    """frames in a row without a fit of an object that moved"""
+    share_moved: float = limit(0.06, source=NOT_RECORDED)
+    """the same as a share of all frames"""
+    contradiction: float = limit(0.2, source=NOT_RECORDED)
+    """part of single frames that may contradict a motion"""
 
 
 @dataclass(frozen=True)
@@ -79,13 +100,14 @@ def find_frame_faults(
         objects, frames: tables of the report.
         options: limits and the smallest share of a contour near edges.
     """
+    limits = FrameSettings.current()
     states = {o.object: _states(o, options) for o in objects}
     witnesses = [o for o in objects if _is_witness(o, states[o.object])]
     camera = []
     for row in frames:
         seen = [s for o in witnesses if (s := states[o.object].get(row.frame)) is not None]
         off = sum(not fits for fits in seen)
-        if off >= _FEWEST_WITNESSES and off >= _CAMERA_SHARE * len(seen):
+        if off >= limits.fewest_witnesses and off >= limits.camera_share * len(seen):
             camera.append(row.frame)
     moved = [
         m for o in witnesses if (m := _motion(o, states[o.object], frozenset(camera))) is not None
@@ -134,22 +156,27 @@ def _usual_margin(item: ObjectCheck) -> float:
 
 def _states(item: ObjectCheck, options: CheckOptions) -> dict[int, bool]:
     """Whether the label fits, by frame id; frames that do not tell are absent."""
+    limits = FrameSettings.current()
     usual = _usual_margin(item)
     states = {}
     for row in item.frames:
         margin = _margin(row)
         if margin is None:
             continue
-        if _shift_px(row) > options.max_shift_px or margin < _OFF * usual:
+        if _shift_px(row) > options.max_shift_px or margin < limits.off * usual:
             states[row.frame] = False
-        elif margin >= max(_FITS * usual, _LEAST_MARGIN):
+        elif margin >= max(limits.fits * usual, limits.smallest_margin):
             states[row.frame] = True
     return states
 
 
 def _is_witness(item: ObjectCheck, states: dict[int, bool]) -> bool:
+    limits = FrameSettings.current()
     fits = sum(states.values())
-    return fits >= max(_FEWEST_FITS, _SHARE_OF_FITS * len(states)) and _usual_margin(item) >= _CLEAR
+    return (
+        fits >= max(limits.fewest_fits, limits.share_of_fits * len(states))
+        and _usual_margin(item) >= limits.clear
+    )
 
 
 def _unfit(states: dict[int, bool], camera: frozenset[int]) -> float:
@@ -161,9 +188,10 @@ def _unfit(states: dict[int, bool], camera: frozenset[int]) -> float:
 
 def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) -> Moved | None:
     """The run of frames in which the label does not fit, if it fits in nearly all others."""
+    limits = FrameSettings.current()
     known = [(f, fits) for f, fits in sorted(states.items()) if f not in camera]
     gains = np.array([-1 if fits else 1 for _, fits in known])
-    if len(gains) < _FEWEST_MOVED + _FEWEST_FITS:
+    if len(gains) < limits.fewest_moved + limits.fewest_fits:
         return None
     # The run with the largest sum.
     total = np.concatenate([[0], np.cumsum(gains)])
@@ -173,10 +201,10 @@ def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) 
         best = max(best, (int(total[end] - total[start]), -start, end))
     start, end = -best[1], best[2]
     inside, outside = gains[start:end], np.concatenate([gains[:start], gains[end:]])
-    fewest = max(_FEWEST_MOVED, _SHARE_MOVED * len(known))
-    if len(inside) < fewest or len(outside) < _FEWEST_FITS:
+    fewest = max(limits.fewest_moved, limits.share_moved * len(known))
+    if len(inside) < fewest or len(outside) < limits.fewest_fits:
         return None
-    if (inside < 0).mean() > _CONTRADICTION or (outside > 0).mean() > _CONTRADICTION:
+    if (inside < 0).mean() > limits.contradiction or (outside > 0).mean() > limits.contradiction:
         return None
     frames = [f for f, _ in known]
     between = []

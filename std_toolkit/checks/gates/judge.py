@@ -20,6 +20,7 @@ from std_toolkit.labels.texture.comparison import TextureComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import ScaleEstimate
+from std_toolkit.settings import changed
 
 _FAMILIES = (
     *poses.GATES,
@@ -145,7 +146,7 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         objects=objects,
         frames=list(measured.frames),
         materials=list(measured.materials),
-        limits={k: float(v) for k, v in asdict(measured.options).items()},
+        limits={k: float(v) for k, v in asdict(measured.options).items()} | changed(),
     )
 
 

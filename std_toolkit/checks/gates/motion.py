@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 from std_toolkit.checks.gates.gate import (
     Measured,
@@ -12,18 +13,29 @@ from std_toolkit.checks.gates.gate import (
     all_names,
     unlabelled,
 )
-from std_toolkit.checks.measure.object_motion import NOTED_SIZE, SIZE_DEVIATIONS
+from std_toolkit.checks.measure.object_motion import ConfirmationSettings
 from std_toolkit.checks.result import CheckWarning, ObjectCheck
 from std_toolkit.options import CheckOptions
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Motions below these are not worth a warning.
-_NOTED_MM = 2.0
-_NOTED_DEG = 1.2
-# Motions up to this many limits are put down to the shape of the mesh where its texture fits.
-_OTHER_SHAPE = 3.0
 # Contours further from the image than this differ in shape.
-_OFFSET_PX = 1.5
 _REFINE = "run `std-curate propagate --refine`, or correct the label in the annotator"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionGateSettings(Settings):
+    """Motions that are noted, and those put down to the shape of the mesh."""
+
+    noted_mm: float = limit(2.0, unit="mm", source=NOT_RECORDED)
+    """a smaller translation brings no warning"""
+    noted_deg: float = limit(1.2, unit="deg", source=NOT_RECORDED)
+    """a smaller rotation brings no warning"""
+    other_shape: float = limit(3.0, source=NOT_RECORDED)
+    """motions up to this many limits are put down to the shape of the mesh where its texture
+    fits"""
+    offset_px: float = limit(1.5, unit="px", source=NOT_RECORDED)
+    """contours further from the image differ in shape"""
 
 
 def is_small(item: ObjectCheck, options: CheckOptions) -> bool:
@@ -50,18 +62,19 @@ def is_another_shape(item: ObjectCheck, options: CheckOptions) -> bool:
     A box that bulges or a bottle of another production has the texture of the mesh, and a contour
     that no pose explains.
     """
+    limits = MotionGateSettings.current()
     mm, deg = item.value("motion_mm") or 0, item.value("motion_deg") or 0
     return (
         item.text("texture") == "fits"
         and item.value("motion_mm") is not None
         and (mm > options.max_motion_mm or deg > options.max_motion_deg or _is_offset(item))
-        and mm <= _OTHER_SHAPE * options.max_motion_mm
-        and deg <= _OTHER_SHAPE * options.max_motion_deg
+        and mm <= limits.other_shape * options.max_motion_mm
+        and deg <= limits.other_shape * options.max_motion_deg
     )
 
 
 def _is_offset(item: ObjectCheck) -> bool:
-    return (item.value("edge_px") or 0) > _OFFSET_PX
+    return (item.value("edge_px") or 0) > MotionGateSettings.current().offset_px
 
 
 def size_error(item: ObjectCheck) -> float:
@@ -69,7 +82,7 @@ def size_error(item: ObjectCheck) -> float:
     error, std = item.value("size_error"), item.std("size_error")
     if error is None or std is None:
         return 0.0
-    return error if abs(error) > SIZE_DEVIATIONS * std else 0.0
+    return error if abs(error) > ConfirmationSettings.current().size_deviations * std else 0.0
 
 
 def _motion(key: str) -> Callable[[ObjectCheck, Measured], Reading | None]:
@@ -104,6 +117,7 @@ def _worst_name(found: Readings, measured: Measured) -> str:
 
 def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
     """Motions within the limits, and contours that differ from the mesh."""
+    limits = MotionGateSettings.current()
     options = measured.options
     for item in measured.labelled:
         mm, deg = item.value("motion_mm") or 0, item.value("motion_deg") or 0
@@ -117,9 +131,9 @@ def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
                 advice="the label fits best; scan this object if its shape matters",
             )
             continue
-        if _NOTED_MM <= mm <= options.max_motion_mm:
+        if limits.noted_mm <= mm <= options.max_motion_mm:
             parts.append(f"{mm:.1f} mm (± {item.std('motion_mm') or 0:.1f})")
-        if _NOTED_DEG <= deg <= options.max_motion_deg:
+        if limits.noted_deg <= deg <= options.max_motion_deg:
             parts.append(f"{deg:.1f} deg (± {item.std('motion_deg') or 0:.1f})")
         if parts:
             yield CheckWarning(
@@ -131,9 +145,10 @@ def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
 
 
 def _size_warnings(measured: Measured) -> Iterable[CheckWarning]:
+    limits = ConfirmationSettings.current()
     for item in measured.labelled:
         size, std = size_error(item), 100 * (item.std("size_error") or 0)
-        if abs(size) < NOTED_SIZE or is_another_shape(item, measured.options):
+        if abs(size) < limits.noted_size or is_another_shape(item, measured.options):
             continue
         yield CheckWarning(
             severity="medium",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result
-from std_toolkit.checks.measure.coverage import SEEN_FRACTION, measure_coverage, view_directions
+from std_toolkit.checks.measure.coverage import (
+    CoverageSettings,
+    measure_coverage,
+    view_directions,
+)
 from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
 from std_toolkit.checks.measure.sensor_depth import (
     DepthResidual,
@@ -20,14 +24,25 @@ from std_toolkit.checks.measure.sensor_depth import (
     common_depth_shift,
 )
 from std_toolkit.scene import Label, Object, Scene
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Frames that show less of an object constrain its pose too weakly.
-JUDGED_FRACTION = 0.2
-# Edge distance over that by chance of a label that fits.
-_CLOSE = 0.6
 # Outlines that determine the shift of depth in one frame.
-_FEWEST_OUTLINES = 2
 MATERIAL_ORDER = ("raw", "diffuse", "specular", "transparent")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AggregateSettings(Settings):
+    """Measurements of single frames that count."""
+
+    judged_fraction: float = limit(
+        0.2,
+        source="frames that show less of an object constrain its pose too weakly",
+    )
+    """smallest visible fraction of an object whose contour counts"""
+    close: float = limit(0.6, source=NOT_RECORDED)
+    """edge distance over that by chance of a label that fits"""
+    fewest_outlines: int = limit(2, source=NOT_RECORDED)
+    """outlines that determine the shift of depth in one frame"""
 
 
 def rounded(value: float | None, digits: int = 3) -> result.Number:
@@ -81,6 +96,7 @@ def check_frames(
         observed: the frames looked at.
         problems: error line by frame id, of frames that could not be checked.
     """
+    limits = AggregateSettings.current()
     looks = {o.frame: o for o in observed}
     poses = {p.frame: p for p in scene.poses.frames} if scene.poses else {}
     rows = []
@@ -96,7 +112,7 @@ def check_frames(
                 pose_std_mm=_weakest(pose.covariance, 0, 1000) if pose else None,
                 looked_at=look is not None,
                 objects_visible=(
-                    sum(o.visible_fraction >= JUDGED_FRACTION for o in look.objects.values())
+                    sum(o.visible_fraction >= limits.judged_fraction for o in look.objects.values())
                     if look
                     else 0
                 ),
@@ -124,13 +140,14 @@ def depth_shifts(observed: Sequence[FrameObservation]) -> list[DepthShift]:
 
 def _against_colour(observation: ObjectObservation) -> DepthShift | None:
     """The shift of depth against the image; the label's own shift is subtracted."""
+    limits = AggregateSettings.current()
     edges, depth = observation.edges, observation.depth_shift
-    if edges is None or depth is None or observation.visible_fraction < JUDGED_FRACTION:
+    if edges is None or depth is None or observation.visible_fraction < limits.judged_fraction:
         return None
     if observation.shift is not None:
         x_px, y_px = depth.x_px - observation.shift.x_px, depth.y_px - observation.shift.y_px
         return replace(depth, x_px=x_px, y_px=y_px)
-    close = edges.median_px is not None and edges.median_px <= _CLOSE * (edges.chance_px or 0)
+    close = edges.median_px is not None and edges.median_px <= limits.close * (edges.chance_px or 0)
     return depth if close else None
 
 
@@ -138,7 +155,7 @@ def _frame_depth_shift(frame: FrameObservation) -> list[float] | None:
     """Shift of depth in one frame, from at least two objects."""
     found = depth_shifts([frame])
     common = common_depth_shift(found)
-    if common is None or len(found) < _FEWEST_OUTLINES:
+    if common is None or len(found) < AggregateSettings.current().fewest_outlines:
         return None
     return [round(common.x_px, 2), round(common.y_px, 2)]
 
@@ -182,6 +199,7 @@ def _check_object(
     up: NDArray[np.float64],
     depth_bias: float | None,
 ) -> result.ObjectCheck:
+    limits = AggregateSettings.current()
     label = scene.labels.of(item.id)
     state = "none"
     if label is not None:
@@ -189,8 +207,8 @@ def _check_object(
         if label.T_world_obj is not None:
             state = "refined" if label.refined else "propagated"
     rows = [(f.frame, f.objects[item.id]) for f in observed if item.id in f.objects]
-    judged = [o for _, o in rows if o.visible_fraction >= JUDGED_FRACTION]
-    seen = [f for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
+    judged = [o for _, o in rows if o.visible_fraction >= limits.judged_fraction]
+    seen = [f for f, o in rows if o.visible_fraction >= CoverageSettings.current().seen_fraction]
     tally = ErrorTally.merged([f.tallies[item.id] for f in observed if item.id in f.tallies])
     visible = rounded(median([o.visible_fraction for _, o in rows]))
     return result.ObjectCheck(
@@ -333,7 +351,10 @@ def _object_frame(
 
 
 def _edge(observation: ObjectObservation) -> float | None:
-    judged = observation.edges is not None and observation.visible_fraction >= JUDGED_FRACTION
+    limits = AggregateSettings.current()
+    judged = (
+        observation.edges is not None and observation.visible_fraction >= limits.judged_fraction
+    )
     return observation.edges.median_px if judged and observation.edges is not None else None
 
 

@@ -20,6 +20,7 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scene import Scene
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -29,12 +30,19 @@ _TANGENT_REACH = 3
 # Halvings of a 2-pixel interval: 1/64 px.
 _BISECTIONS = 7
 
-SMALLEST_MASK_PX = 40
 
 _LARGEST_PX = 10_000
 
 NOTHING = 0
 """Object id of a ray that hits no object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourTraceSettings(Settings):
+    """Contours that are traced."""
+
+    smallest_mask_px: int = limit(40, unit="px", source=NOT_RECORDED)
+    """a smaller mask has no contour"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +87,7 @@ def trace_contour(
     Returns:
         The contour, or None if too little of the object is visible.
     """
-    if int(mask.sum()) < SMALLEST_MASK_PX:
+    if int(mask.sum()) < ContourTraceSettings.current().smallest_mask_px:
         return None
     # A border of zeros, so that a loop never runs along the array's edge unseen.
     padded = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)

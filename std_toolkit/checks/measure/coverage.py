@@ -12,17 +12,28 @@ from numpy.typing import NDArray
 from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.scene import Scene
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
 
-# Below this largest angle between two views, depth is weakly determined: the error along the view
-# is 1 / tan(angle / 2) times the lateral error, 3.7 times at 30 degrees.
-NARROW_DEG = 30.0
 # Views that are compared with all others at a time.
 _BLOCK = 256
-# An object counts as seen in a frame when at least this part of it is visible.
-SEEN_FRACTION = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSettings(Settings):
+    """From where an object must be seen."""
+
+    narrow_deg: float = limit(
+        30.0,
+        unit="deg",
+        source="the error along the view is 1 / tan(angle / 2) times the lateral error, 3.7 "
+        "times at 30 degrees",
+    )
+    """below this largest angle between two views, depth is weakly determined"""
+    seen_fraction: float = limit(0.3, source=NOT_RECORDED)
+    """an object counts as seen in a frame when this part of it is visible"""
 
 
 @dataclass(frozen=True)

@@ -22,38 +22,46 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks.measure.contours import Contour
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
 STEP_PX = 0.5
 
-# Slope in grey levels per pixel below which a peak is noise in any 8-bit image.
-SMALLEST_SLOPE = 1.5
-
-# A peak below this fraction of the steepest slope of its profile is texture, not an outline.
-RELATIVE_SLOPE = 0.2
-
-FEWEST_POINTS = 24
 
 LARGEST_SAMPLE = 300
 
-SMALLEST_GAIN = 0.15
-
-RIVAL_PX = 3.0
-
-LARGEST_RIVAL = 0.85
 
 _COARSE_PX = 1.0
 
 _FINE_PX = 0.4
 
-FEWEST_FRAMES = 3
 
 # Largest expected label error, and the accuracy of one shift: they bound depth, which a narrow
 # sweep does not determine.
 _PRIOR_M = 0.02
 
 _SHIFT_PX = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeSettings(Settings):
+    """Edges and shifts that count."""
+
+    smallest_slope: float = limit(1.5, unit="grey levels per pixel", source=NOT_RECORDED)
+    """a smaller peak is noise in any 8-bit image"""
+    relative_slope: float = limit(0.2, source=NOT_RECORDED)
+    """a peak below this fraction of the steepest slope of its profile is texture, not an outline"""
+    fewest_points: int = limit(24, source=NOT_RECORDED)
+    """points of a contour that a measurement needs"""
+    smallest_gain: float = limit(0.15, source=NOT_RECORDED)
+    """smallest gain of the score by a shift"""
+    rival_px: float = limit(3.0, unit="px", source=NOT_RECORDED)
+    """a rival of a shift is at least this far away"""
+    largest_rival: float = limit(0.85, source=NOT_RECORDED)
+    """largest gain of a rival, as a part of that of the best shift"""
+    fewest_frames: int = limit(3, source=NOT_RECORDED)
+    """frames with a shift from which the common translation is taken"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +150,9 @@ def read_profiles(
     Returns:
         The profiles, or None if too few points remain.
     """
+    limits = EdgeSettings.current()
     index = np.flatnonzero(contour.own)
-    if len(index) < FEWEST_POINTS:
+    if len(index) < limits.fewest_points:
         return None
     if len(index) > LARGEST_SAMPLE:
         index = index[np.linspace(0, len(index) - 1, LARGEST_SAMPLE).round().astype(int)]
@@ -159,8 +168,8 @@ def read_profiles(
         borderMode=cv2.BORDER_REPLICATE,
     ).astype(np.float64)
     slope = np.linalg.norm(values[:, 2:] - values[:, :-2], axis=-1) / (2 * STEP_PX * np.sqrt(3))
-    floor = max(SMALLEST_SLOPE, 1.4 * noise)
-    threshold = np.maximum(floor, RELATIVE_SLOPE * slope.max(axis=1))
+    floor = max(limits.smallest_slope, 1.4 * noise)
+    threshold = np.maximum(floor, limits.relative_slope * slope.max(axis=1))
     return Profiles(slope, offsets[1:-1].astype(np.float64), threshold, normals, index)
 
 
@@ -193,6 +202,7 @@ def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
         The shift to about 0.1 px, or None if no shift is much better than the others or the best
         one is at the limit of the search.
     """
+    limits = EdgeSettings.current()
     strength = profiles.slope / (profiles.slope + 3 * profiles.threshold[:, None])
     grid = np.arange(-largest_px, largest_px + _COARSE_PX / 2, _COARSE_PX)
     dx, dy = np.meshgrid(grid, grid)
@@ -200,12 +210,12 @@ def best_shift(profiles: Profiles, *, largest_px: float) -> Shift | None:
     y, x = np.unravel_index(int(score.argmax()), score.shape)
     mean = float(score.mean())
     gain = float(score[y, x] / max(mean, 1e-9) - 1)
-    if gain < SMALLEST_GAIN or not (0 < x < len(grid) - 1 and 0 < y < len(grid) - 1):
+    if gain < limits.smallest_gain or not (0 < x < len(grid) - 1 and 0 < y < len(grid) - 1):
         return None
     # A rim or a reflection parallel to the outline gives a second good fit: the frame is then
     # ambiguous.
-    elsewhere = score[np.hypot(dx - grid[x], dy - grid[y]) > RIVAL_PX]
-    if elsewhere.max() - mean > LARGEST_RIVAL * (score[y, x] - mean):
+    elsewhere = score[np.hypot(dx - grid[x], dy - grid[y]) > limits.rival_px]
+    if elsewhere.max() - mean > limits.largest_rival * (score[y, x] - mean):
         return None
     near = np.arange(-3, 4) * _FINE_PX
     fx, fy = np.meshgrid(grid[x] + near, grid[y] + near)
@@ -294,10 +304,10 @@ def fit_consistency(
         metres_per_px: (F,) size of a pixel at the object.
 
     Returns:
-        None with fewer than `FEWEST_FRAMES` frames.
+        None with fewer than `EdgeSettings.current().fewest_frames` frames.
     """
     d = np.asarray(shifts_px, dtype=np.float64)
-    if len(d) < FEWEST_FRAMES:
+    if len(d) < EdgeSettings.current().fewest_frames:
         return None
     J = np.asarray(jacobians, dtype=np.float64)
     offset = np.zeros(3)

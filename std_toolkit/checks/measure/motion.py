@@ -23,22 +23,38 @@ from std_toolkit.checks.measure.array_file import ArrayFile, FiledArray
 from std_toolkit.checks.measure.contours import Contour
 from std_toolkit.checks.measure.edges import Profiles, edge_peaks
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
-FEWEST_POINTS = 16
-FEWEST_FRAMES = 4
 _LARGEST_SAMPLE = 120
 _EDGES_PER_POINT = 4
 # Six of a motion, and the size.
 _UNKNOWNS = 7
 # Errors of neighbouring contour points are correlated: one independent sample per 60 px.
 INDEPENDENT_PX = 60.0
-# A contour point is on an edge if one is this near.
-_ON_EDGE_PX = 1.25
 # Displaced contours differ by less than this for other reasons than noise.
-_SMALLEST_MARGIN = 0.15
 _CHANCE_SHIFTS_PX = np.array([-10, -8, -6, -4.5, 4.5, 6, 8, 10])
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSettings(Settings):
+    """Contours from which a motion is measured."""
+
+    fewest_points: int = limit(16, source=NOT_RECORDED)
+    """points of a contour in one frame"""
+    fewest_frames: int = limit(
+        4,
+        source="errors of mesh and lens move a whole contour in one image",
+    )
+    """with fewer frames a motion is no evidence"""
+    on_edge_px: float = limit(1.25, unit="px", source=NOT_RECORDED)
+    """a contour point is on an edge if one is this near"""
+    smallest_margin: float = limit(
+        0.15,
+        source="displaced contours differ by less for other reasons than noise",
+    )
+    """smallest share above chance by which a frame confirms a label"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +95,11 @@ class MotionEquations:
         Args:
             motion: (6,), or (7,) with the relative size.
         """
+        limits = MotionSettings.current()
         offsets = self.offsets - (self.jacobian[:, : len(motion)] @ motion)[:, None]
-        on_edge = float((np.abs(offsets).min(axis=1) < _ON_EDGE_PX).mean())
+        on_edge = float((np.abs(offsets).min(axis=1) < limits.on_edge_px).mean())
         moved = np.abs(offsets[None] - _CHANCE_SHIFTS_PX[:, None, None]).min(axis=2)
-        return on_edge, float((moved < _ON_EDGE_PX).mean())
+        return on_edge, float((moved < limits.on_edge_px).mean())
 
     @property
     def independent(self) -> float:
@@ -96,7 +113,7 @@ class MotionEquations:
             share, chance: from `support`.
         """
         deviation = np.sqrt(max(chance * (1 - chance), 0.02) / self.independent)
-        return bool(share - chance > max(2 * deviation, _SMALLEST_MARGIN))
+        return bool(share - chance > max(2 * deviation, MotionSettings.current().smallest_margin))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -167,7 +184,7 @@ def motion_equations(
     rows = np.flatnonzero(contour.depth[profiles.index] > 0)
     if len(rows) > _LARGEST_SAMPLE:
         rows = rows[np.linspace(0, len(rows) - 1, _LARGEST_SAMPLE).round().astype(int)]
-    if len(rows) < FEWEST_POINTS:
+    if len(rows) < MotionSettings.current().fewest_points:
         return None
     at = profiles.index[rows]
     z = contour.depth[at]

@@ -15,16 +15,10 @@ from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.motion import INDEPENDENT_PX, FiledEquations, MotionEquations
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
-# Chi square with three degrees of freedom that chance exceeds as rarely as three deviations.
-_SIGNIFICANT_CHI2 = 14.16
-# A motion with a smaller gain in log likelihood is not shown: among clutter, the edges at the label
-# are nearly as likely.
-_LEAST_GAIN = 2.0
-# Parts of a significant motion below this number of deviations are left out.
-_CONTRIBUTES = 2.0
 # Anti-aliasing, shading and the mesh move edges by this much even where the label is exact.
 _SMALLEST_STD_PX = 0.25
 _PRIOR = np.array([0.03] * 3 + [0.25] * 3)
@@ -37,6 +31,21 @@ _STARTS = (0, 2, 4)
 _FIXED = 1e-6
 # Frames in memory at a time: 4 MB.
 _BLOCK_FRAMES = 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignificanceSettings(Settings):
+    """Which motions are significant."""
+
+    significant_chi2: float = limit(14.16, source="chance exceeds it as rarely as three deviations")
+    """chi square with three degrees of freedom"""
+    smallest_gain: float = limit(
+        2.0,
+        source="among clutter, the edges at the label are nearly as likely",
+    )
+    """a motion with a smaller gain in log likelihood is not shown"""
+    contributes: float = limit(2.0, unit="deviations", source=NOT_RECORDED)
+    """parts of a significant motion below this are left out"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +82,8 @@ class Motion:
 
     def _significant(self, part: slice) -> tuple[float, float]:
         """Length of the significant part, and the standard deviation along it."""
-        vector = self.vector[part] if self.gain >= _LEAST_GAIN else np.zeros(3)
+        limits = SignificanceSettings.current()
+        vector = self.vector[part] if self.gain >= limits.smallest_gain else np.zeros(3)
         return _significant(vector, self.covariance[part, part])
 
 
@@ -274,12 +284,13 @@ def _information(rows: _Rows, motion: Array, std: float) -> tuple[Array, tuple[f
 
 def _significant_part(vector: Array, covariance: Array) -> Array:
     """The vector along the principal directions that contribute; zero if it is not significant."""
+    limits = SignificanceSettings.current()
     values, axes = np.linalg.eigh((covariance + covariance.T) / 2)
     along = axes.T @ vector
     deviations = along / np.sqrt(np.maximum(values, 1e-18))
-    if (deviations**2).sum() < _SIGNIFICANT_CHI2:
+    if (deviations**2).sum() < limits.significant_chi2:
         return np.zeros(3)
-    along[np.abs(deviations) < _CONTRIBUTES] = 0
+    along[np.abs(deviations) < limits.contributes] = 0
     return np.asarray(axes @ along)
 
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.measure.aggregate import JUDGED_FRACTION, in_mm, known_values, rounded
+from std_toolkit.checks.measure.aggregate import AggregateSettings, in_mm, known_values, rounded
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
 from std_toolkit.checks.measure.edges import Consistency, fit_consistency
 from std_toolkit.checks.measure.motion import (
-    FEWEST_FRAMES,
     FiledEquations,
     MotionEquations,
+    MotionSettings,
     Support,
     pooled_support,
 )
@@ -23,35 +24,67 @@ from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObserva
 from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _Equations = MotionEquations | FiledEquations
 
 # Smaller differences in size are not worth a warning, and do not pull the motion with them.
-NOTED_SIZE = 0.015
-SIZE_DEVIATIONS = 3.0
 # Support of all frames together that confirms a label which few frames confirm alone: deviations
 # above chance, and the part of what chance leaves. Right labels on glass reach 0.43, the mesh of
 # another object 0.37.
-_CLEAR_DEVIATIONS = 3.5
-_CLEAR_PART = 0.4
-# Systematic part of the deviation of a size: reflections and refraction move the edges of contours.
-_SIZE_STD = {"specular": 0.014, "transparent": 0.008}
 # The same for motions, px.
-_SYSTEMATIC_PX = {"specular": 1.0, "transparent": 0.4}
-_OPAQUE_SYSTEMATIC_PX = 0.1
 # Together with the size, such an error can look like a rotation.
-_SIZED_SYSTEMATIC_PX = 0.25
-_OPAQUE_SIZE_STD = 0.004
-# A mesh of the right size brings at least this share of the contour onto edges that a wrong one
-# leaves beside them. Sizes 2 to 8 % off change the share by 0.09 to 0.45, shades and reflections
-# that look like a size by up to 0.05.
-_SIZE_SHARE = 0.07
-# Reflections give edges at which a pose is about as likely; up to this many limits away, they say
-# nothing against the label.
-_LOOSE = 1.5
-# A label from which no motion is significant keeps at least this part of the support above chance
-# that the images offer nearby. Right labels keep 0.81 or more on glass and steel.
-_KEPT_SUPPORT = 0.65
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfirmationSettings(Settings):
+    """When the images confirm a label, and by how much its mesh may seem of another size."""
+
+    noted_size: float = limit(0.015, source=NOT_RECORDED)
+    """smaller differences in size do not pull the motion with them"""
+    size_deviations: float = limit(3.0, source=NOT_RECORDED)
+    """nor do those of fewer deviations"""
+    clear_deviations: float = limit(3.5, source=NOT_RECORDED)
+    """support of all frames together, in deviations above chance, that confirms a label which
+    few frames confirm alone"""
+    clear_part: float = limit(
+        0.4,
+        source="right labels on glass reach 0.43, the mesh of another object 0.37",
+    )
+    """the same as a part of what chance leaves"""
+    size_std: Mapping[str, float] = limit(
+        {"specular": 0.014, "transparent": 0.008},
+        source="reflections and refraction move the edges of contours",
+    )
+    """systematic part of the deviation of a size"""
+    opaque_size_std: float = limit(0.004, source=NOT_RECORDED)
+    """the same on other materials"""
+    systematic_px: Mapping[str, float] = limit(
+        {"specular": 1.0, "transparent": 0.4},
+        unit="px",
+        source="reflections and refraction move the edges of contours",
+    )
+    """systematic part of the deviation of a motion"""
+    opaque_systematic_px: float = limit(0.1, unit="px", source=NOT_RECORDED)
+    """the same on other materials"""
+    sized_systematic_px: float = limit(
+        0.25,
+        unit="px",
+        source="together with the size, such an error can look like a rotation",
+    )
+    """the same where a size is fitted, too"""
+    size_share: float = limit(
+        0.07,
+        source="sizes 2 to 8 % off change the share by 0.09 to 0.45, shades and reflections "
+        "that look like a size by up to 0.05",
+    )
+    """a mesh of the right size brings at least this share of the contour onto edges that a
+    wrong one leaves beside them"""
+    loose: float = limit(1.5, source="reflections give edges at which a pose is about as likely")
+    """up to this many limits away, such edges say nothing against the label"""
+    kept_support: float = limit(0.65, source="right labels keep 0.81 or more on glass and steel")
+    """part of the support above chance nearby that a label keeps from which no motion is
+    significant"""
 
 
 def with_motions(
@@ -73,6 +106,7 @@ def _with_motion(
     observed: Sequence[FrameObservation],
     options: CheckOptions,
 ) -> ObjectCheck:
+    limits = ConfirmationSettings.current()
     T_world_obj = scene.T_world_obj(item.object)
     if not item.is_labelled or T_world_obj is None:
         return item
@@ -84,7 +118,7 @@ def _with_motion(
         seen = frame.objects.get(item.object)
         if seen is not None and seen.motion is not None:
             rows[frame.frame] = seen.motion
-            if seen.visible_fraction >= JUDGED_FRACTION:
+            if seen.visible_fraction >= AggregateSettings.current().judged_fraction:
                 judged[frame.frame] = seen.motion
     symmetry = scene.objects.model(item.model).symmetry.symmetry()
     free = symmetry_motions(symmetry, T_world_obj, object_centre(scene, item.object))
@@ -92,28 +126,31 @@ def _with_motion(
     item = msgspec.structs.replace(
         item, frames=[_frame_row(row, rows.get(row.frame), free) for row in item.frames]
     )
-    systematic_px = _SYSTEMATIC_PX.get(item.material, _OPAQUE_SYSTEMATIC_PX)
+    systematic_px = limits.systematic_px.get(item.material, limits.opaque_systematic_px)
     motion = solve_motion(equations, free, systematic_px=systematic_px)
     if motion is None:
         return item.with_values([_confirmation(False, 0.0, 0)])
     # Support is measured where the images put the object: a small motion has a gate of its own.
     support = pooled_support(equations, motion.vector)
-    if len(equations) < FEWEST_FRAMES:
+    if len(equations) < MotionSettings.current().fewest_frames:
         # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
         shown = _is_supported(support) or item.text("texture") == "fits"
         return item.with_values([_confirmation(shown, support.frames, len(equations))])
     plain = motion
     sized = solve_motion(
-        equations, free, with_size=True, systematic_px=max(systematic_px, _SIZED_SYSTEMATIC_PX)
+        equations,
+        free,
+        with_size=True,
+        systematic_px=max(systematic_px, limits.sized_systematic_px),
     )
     assert sized is not None and sized.size is not None and sized.size_std is not None
-    floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
+    floor = limits.size_std.get(item.material, limits.opaque_size_std)
     size_std = float(np.hypot(sized.size_std, floor))
     sized_support = pooled_support(equations, np.append(sized.vector, sized.size))
-    if sized_support.share - support.share < _SIZE_SHARE:
+    if sized_support.share - support.share < limits.size_share:
         size_std = max(size_std, abs(sized.size))
     # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
-    if abs(sized.size) > max(NOTED_SIZE, SIZE_DEVIATIONS * size_std):
+    if abs(sized.size) > max(limits.noted_size, limits.size_deviations * size_std):
         motion, support = sized, sized_support
     shown = item.text("texture") == "fits" or (
         _is_supported(support)
@@ -137,8 +174,9 @@ def _with_motion(
 
 def _drift_values(object_id: int, observed: Sequence[FrameObservation]) -> list[Value]:
     """One displacement that explains the shifts of all frames, and what it leaves."""
+    limits = AggregateSettings.current()
     found = [f.objects[object_id] for f in observed if object_id in f.objects]
-    drift = _consistency([o for o in found if o.visible_fraction >= JUDGED_FRACTION])
+    drift = _consistency([o for o in found if o.visible_fraction >= limits.judged_fraction])
     if drift is None:
         return []
     offset = [round(1000 * x, 2) for x in drift.offset_m]
@@ -239,9 +277,10 @@ def _is_supported(support: Support) -> bool:
 
     The contour of clear glass is faint: few frames tell it from chance alone.
     """
+    limits = ConfirmationSettings.current()
     margin = support.share - support.chance
     together = margin > max(
-        _CLEAR_DEVIATIONS * support.deviation, _CLEAR_PART * (1 - support.chance)
+        limits.clear_deviations * support.deviation, limits.clear_part * (1 - support.chance)
     )
     return support.frames > 0.5 or together
 
@@ -251,16 +290,18 @@ def _keeps_support(motion: Motion, support: Support, equations: Sequence[_Equati
 
     Reflections on steel leave the motion so uncertain that a wrong label may lie within it.
     """
+    limits = ConfirmationSettings.current()
     if motion.translation_mm[0] > 0 or motion.rotation_deg[0] > 0:
         return True
     label = pooled_support(equations, np.zeros(6))
-    return label.share - label.chance >= _KEPT_SUPPORT * (support.share - support.chance)
+    return label.share - label.chance >= limits.kept_support * (support.share - support.chance)
 
 
 def _is_loose(motion: Motion, options: CheckOptions) -> bool:
     """Whether the images allow a pose far from the label without showing it."""
+    limits = ConfirmationSettings.current()
     mm = 1000 * float(np.linalg.norm(motion.vector[:3]))
     deg = float(np.rad2deg(np.linalg.norm(motion.vector[3:])))
-    return (mm > _LOOSE * options.max_motion_mm and motion.translation_mm[0] == 0) or (
-        deg > _LOOSE * options.max_motion_deg and motion.rotation_deg[0] == 0
+    return (mm > limits.loose * options.max_motion_mm and motion.translation_mm[0] == 0) or (
+        deg > limits.loose * options.max_motion_deg and motion.rotation_deg[0] == 0
     )

@@ -23,16 +23,23 @@ from std_toolkit.log import logger
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import ScaleEstimate
 from std_toolkit.scene.scale_model import mesh_deviation
+from std_toolkit.settings import Settings, limit
 
 SOURCE = "sizes"
 _KEYFRAMES = 6
 _OPTIONS = RefineOptions(
     refine_scale=True, use_depth=False, search_px=20.0, largest_image=960, iterations=3
 )
-# An object that differs more from the others is wrong itself: its mesh, or its label.
-_OUTLIER_SIGMA = 3.0
-# Weak views tell nothing on the scale.
-_LARGEST_ERROR = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizeSettings(Settings):
+    """Objects whose sizes give a scale."""
+
+    outlier_sigma: float = limit(3.0, source="its mesh, or its label, is wrong")
+    """an object that differs more from the others is left out"""
+    largest_error: float = limit(0.02, source="weak views tell nothing on the scale")
+    """largest standard deviation of the size of an object"""
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,7 @@ def object_sizes(scene: Scene) -> list[ObjectSize]:
             np.concatenate([r.residual for r in mine]),
             np.concatenate([r.information for r in mine]),
         )
-        if deviation < _LARGEST_ERROR:
+        if deviation < SizeSettings.current().largest_error:
             model = scene.objects.object_named(obj.name).model
             factor = float(np.exp(state.log_scale + change))
             found.append(ObjectSize(obj.name, model, factor, deviation))
@@ -104,7 +111,7 @@ def combine_sizes(sizes: Sequence[ObjectSize]) -> ScaleEstimate | None:
     factors = np.array([s.factor for s in sizes])
     sigma = np.array([mesh_deviation(s.standard_error, 1) for s in sizes])
     middle = _weighted_median(factors, sigma**-2)
-    kept = np.abs(factors / middle - 1) < _OUTLIER_SIGMA * sigma
+    kept = np.abs(factors / middle - 1) < SizeSettings.current().outlier_sigma * sigma
     if 2 * kept.sum() <= len(sizes):
         return None
     weight = sigma[kept] ** -2 / (sigma[kept] ** -2).sum()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from std_toolkit.checks.measure.silhouettes import MeasuredContour, SampledSurface, SilhouetteView
 from std_toolkit.geometry import SE3, Symmetry, rotation_error, so3_exp
 from std_toolkit.scene import Scene
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -30,18 +31,24 @@ _STEP_TURN, _STEP_M, _FAR_TURN = np.deg2rad(8), 0.012, np.deg2rad(12)
 
 MOST_FRAMES = 8
 
-# A pose is good if it beats this share of nearby poses, over all frames; a frame tells something
-# if the pose beats this share in it alone.
-GOOD_SHARE, FRAME_SHARE = 0.95, 0.9
 
-# Agreements that differ by less are equal.
-TIE = 0.01
+@dataclass(frozen=True, kw_only=True)
+class RankSettings(Settings):
+    """When a pose beats the poses nearby."""
 
-# One image alone does not tell a turn from a shift in depth.
-FEWEST_FRAMES = 2
-
-# Poses whose contours differ by less, cells, are the same pose to the images.
-_SAME = 1.0
+    good_share: float = limit(0.95, source=NOT_RECORDED)
+    """a pose is good if it beats this share of nearby poses, over all frames"""
+    frame_share: float = limit(0.9, source=NOT_RECORDED)
+    """a frame tells something if the pose beats this share in it alone"""
+    tie: float = limit(0.01, source=NOT_RECORDED)
+    """agreements that differ by less are equal"""
+    fewest_frames: int = limit(
+        2,
+        source="one image alone does not tell a turn from a shift in depth",
+    )
+    """frames that must tell something"""
+    same: float = limit(1.0, unit="cells", source=NOT_RECORDED)
+    """poses whose contours differ by less are the same pose to the images"""
 
 
 @dataclass(frozen=True)
@@ -69,16 +76,18 @@ class PoseRank:
     @property
     def good(self) -> bool:
         """Whether the pose beats its neighbours in most frames and no wider turn fits better."""
+        limits = RankSettings.current()
         return (
             self.nearby > 0
-            and len(self.telling) >= FEWEST_FRAMES
-            and self.beaten >= GOOD_SHARE * self.nearby
+            and len(self.telling) >= limits.fewest_frames
+            and self.beaten >= limits.good_share * self.nearby
             and 2 * len(self.telling) > len(self.frames)
-            and self.rival < -TIE
+            and self.rival < -limits.tie
         )
 
     def sentence(self) -> str:
         """The rank in words, without a full stop."""
+        limits = RankSettings.current()
         if not self.frames:
             return "not ranked: its contour is visible in no frame"
         if not self.nearby:
@@ -87,9 +96,9 @@ class PoseRank:
         text = f"better than {self.beaten} of {self.nearby} nearby poses"
         if silent:
             text += f"; {silent} of {total} frames {'is' if silent == 1 else 'are'} inconclusive"
-        elif total < FEWEST_FRAMES:
+        elif total < limits.fewest_frames:
             text += "; one frame alone confirms no pose"
-        if self.rival >= -TIE:
+        if self.rival >= -limits.tie:
             text += "; another turn fits as well"
         return text
 
@@ -189,6 +198,7 @@ def _rank(
     seed: int,
     cancelled: Callable[[], bool],
 ) -> PoseRank:
+    limits = RankSettings.current()
     own = [view.measure(surface, view.pose) for view in views]
     kept = [k for k, measured in enumerate(own) if measured is not None]
     views = [views[k] for k in kept]
@@ -207,7 +217,9 @@ def _rank(
     if not near:
         return PoseRank(0, 0, ids, (), -1.0, float(mine.mean()))
     table = np.stack(near)
-    telling = tuple(i for k, i in enumerate(ids) if (table[:, k] < mine[k]).mean() >= FRAME_SHARE)
+    telling = tuple(
+        i for k, i in enumerate(ids) if (table[:, k] < mine[k]).mean() >= limits.frame_share
+    )
     beaten = int((table.mean(axis=1) < mine.mean()).sum())
     found = PoseRank(beaten, len(near), ids, telling, -1.0, float(mine.mean()))
     if not found.good:
@@ -225,9 +237,12 @@ def _scores(
     distinct: bool = True,
 ) -> Array | None:
     """Scores of a changed pose in the views, (V,); None if `distinct` and it looks the same."""
+    limits = RankSettings.current()
     found = [v.measure(surface, v.pose @ change) for v in views]
-    apart = [_SAME + 1 if f is None else v.distance(f) for v, f in zip(views, found, strict=True)]
-    if distinct and max(apart) < _SAME:
+    apart = [
+        limits.same + 1 if f is None else v.distance(f) for v, f in zip(views, found, strict=True)
+    ]
+    if distinct and max(apart) < limits.same:
         return None
     least = [0.7 * b.points for b in base]
     # A contour that is mostly hidden is measured on fewer points, but counts as the whole.

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks.measure.array_file import ArrayFile, FiledArray
 from std_toolkit.checks.measure.contours import Contour
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
-FEWEST_PIXELS = 50
 # Depth sensors mix foreground and background within some pixels of an outline.
 EDGE_MARGIN_PX = 3
 HISTOGRAM_LIMIT_M = 0.5
@@ -30,14 +30,24 @@ _SHOWN_LIMIT_M = 0.1
 _BINS = round(2 * HISTOGRAM_LIMIT_M / HISTOGRAM_BIN_M)
 _REACH_PX = 14.0
 _STEP_PX = 0.5
-# Depth that differs more from the label belongs to another surface.
-_TOLERANCE_M = 0.02
 # Fraction of a profile that agrees with one boundary.
-_CLEAR = 0.85
-_FEWEST_POINTS = 30
 _LARGEST_SAMPLE = 300
-# Fits with a larger spread of the boundaries do not determine a shift.
-_LARGEST_SPREAD_PX = 2.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorDepthSettings(Settings):
+    """Residuals and shifts of sensor depth that count."""
+
+    fewest_pixels: int = limit(50, source=NOT_RECORDED)
+    """pixels with sensor depth that a residual needs"""
+    tolerance_m: float = limit(0.02, unit="m", source=NOT_RECORDED)
+    """depth that differs more from the label belongs to another surface"""
+    clear: float = limit(0.85, source=NOT_RECORDED)
+    """fraction of a profile that agrees with one boundary"""
+    fewest_points: int = limit(30, source=NOT_RECORDED)
+    """points of an outline that a shift needs"""
+    largest_spread_px: float = limit(2.5, unit="px", source=NOT_RECORDED)
+    """fits with a larger spread of the boundaries do not determine a shift"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +79,7 @@ def depth_residual(
         mask: (H, W) pixels that show the object.
 
     Returns:
-        None if fewer than `FEWEST_PIXELS` pixels have both.
+        None if fewer than `SensorDepthSettings.current().fewest_pixels` pixels have both.
     """
     size = 2 * EDGE_MARGIN_PX + 1
     inner = cv2.erode(
@@ -80,7 +90,7 @@ def depth_residual(
     ).astype(bool)
     use = inner & (rendered > 0) & (sensor > 0)
     count = int(use.sum())
-    if count < FEWEST_PIXELS:
+    if count < SensorDepthSettings.current().fewest_pixels:
         return None
     r, s = rendered[use].astype(np.float64), sensor[use].astype(np.float64)
     median = float(np.median(r - s))
@@ -261,8 +271,9 @@ def depth_shift(
     Returns:
         None if the outline in depth is unclear, or its directions do not determine both axes.
     """
+    limits = SensorDepthSettings.current()
     index = np.flatnonzero(contour.own)
-    if len(index) < _FEWEST_POINTS:
+    if len(index) < limits.fewest_points:
         return None
     if len(index) > _LARGEST_SAMPLE:
         index = index[np.linspace(0, len(index) - 1, _LARGEST_SAMPLE).round().astype(int)]
@@ -271,12 +282,12 @@ def depth_shift(
     at = contour.points[index][:, None] + offsets[:, None] * normals[:, None]
     measured, label = (_sampled(image, at) for image in (sensor, rendered))
     expected = np.where((offsets < 0) & (label > 0), label, contour.depth[index][:, None])
-    near = np.abs(measured - expected) < _TOLERANCE_M
+    near = np.abs(measured - expected) < limits.tolerance_m
     boundary, agreement = _boundaries(near, offsets)
     # A profile without a reading does not show where the object ends.
     inner = near[:, offsets <= -_REACH_PX / 2].mean(axis=1) > 0.5
-    use = inner & (agreement >= _CLEAR) & (np.abs(boundary) < _REACH_PX - 1)
-    if use.sum() < _FEWEST_POINTS or use.mean() < 0.3:
+    use = inner & (agreement >= limits.clear) & (np.abs(boundary) < _REACH_PX - 1)
+    if use.sum() < limits.fewest_points or use.mean() < 0.3:
         return None
     return _fit(boundary[use], normals[use])
 
@@ -313,10 +324,11 @@ def _boundaries(near: NDArray[np.bool_], offsets: Array) -> tuple[Array, Array]:
 
 def _fit(boundary: Array, normals: Array) -> DepthShift | None:
     """Robust fit of margin and shift; None if it is ill-conditioned or spread too widely."""
+    limits = SensorDepthSettings.current()
     A = np.concatenate([np.ones((len(normals), 1)), normals], axis=1)
     weights = np.ones(len(A))
     solution = np.zeros(3)
-    scale = _LARGEST_SPREAD_PX
+    scale = limits.largest_spread_px
     for _ in range(15):
         M = (A * weights[:, None]).T @ A
         if np.linalg.eigvalsh(M / weights.sum())[0] < 0.05:
@@ -325,7 +337,7 @@ def _fit(boundary: Array, normals: Array) -> DepthShift | None:
         residual = np.abs(boundary - A @ solution)
         scale = max(1.4826 * float(np.median(residual)), _STEP_PX)
         weights = 1 / (1 + (residual / scale) ** 2)
-    if scale > _LARGEST_SPREAD_PX:
+    if scale > limits.largest_spread_px:
         return None
     # Neighbouring boundaries are correlated over some pixels: count a quarter of them.
     variance = scale**2 * np.linalg.inv((A * weights[:, None]).T @ A / 4)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks.measure.edges import noise_level
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -25,10 +26,15 @@ _CELLS, _SURFACE_POINTS = 110, 6000
 # Reach of a contour to an edge, cells, and number of directions of edges.
 _REACH, _DIRECTIONS = 1, 12
 
-_FEWEST = 30
 
-# A pose with a point nearer to the camera is not measured.
-_NEAREST_M = 0.05
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteSettings(Settings):
+    """Silhouettes that are measured."""
+
+    fewest: int = limit(30, source=NOT_RECORDED)
+    """cells of a contour"""
+    nearest_m: float = limit(0.05, unit="m", source=NOT_RECORDED)
+    """a pose with a point nearer to the camera is not measured"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +119,7 @@ class SilhouetteView:
             None if the object is behind the camera, outside the image or too small.
         """
         seen = pose @ surface.points
-        if seen[:, 2].min() < _NEAREST_M:
+        if seen[:, 2].min() < SilhouetteSettings.current().nearest_m:
             return None
         uv = camera.project(seen)
         uv = uv[np.isfinite(uv).all(axis=1)]
@@ -157,7 +163,7 @@ class SilhouetteView:
             return None
         cells, bins = outline
         visible = ~self.hidden[cells[:, 1], cells[:, 0]]
-        if visible.sum() < max(_FEWEST, 0.2 * len(cells)):
+        if visible.sum() < max(SilhouetteSettings.current().fewest, 0.2 * len(cells)):
             return None
         cells, bins = cells[visible], bins[visible]
         values = self.strength[bins, cells[:, 1], cells[:, 0]]
@@ -169,10 +175,11 @@ class SilhouetteView:
 
     def _silhouette(self, surface: SampledSurface, pose: SE3) -> NDArray[np.uint8] | None:
         """(h, w) mask of a surface at T_cam_obj; None if none of it is in view."""
+        limits = SilhouetteSettings.current()
         height, width = self.strength.shape[1:]
         if self.camera.is_distorted:
             seen = pose @ surface.points
-            behind = seen[:, 2].min() < _NEAREST_M
+            behind = seen[:, 2].min() < limits.nearest_m
             # Points beyond the distortion model are NaN, and so not inside.
             u, v = ((self.camera.project(seen) - self.origin) * self.scale).T
         else:
@@ -182,13 +189,13 @@ class SilhouetteView:
             K[:2] *= self.scale
             P = (K @ pose.matrix()[:3]).astype(np.float32)
             x, y, z = P @ surface.homogeneous
-            behind = z.min() < _NEAREST_M
+            behind = z.min() < limits.nearest_m
             u, v = x / z, y / z
         if behind:
             return None
         inside = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
         cells = (v[inside] + 0.5).astype(np.int32) * width + (u[inside] + 0.5).astype(np.int32)
-        if len(cells) < _FEWEST:
+        if len(cells) < limits.fewest:
             return None
         mask = np.zeros(height * width, np.uint8)
         mask[cells] = 255
