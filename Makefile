@@ -79,6 +79,7 @@ dist: env
 
 # Scripts with their options: PERF="perf/core.py 'perf/render.py --frames 1'".
 PERF ?= perf/*.py
+NIGHTLY_PERF := perf/core.py 'perf/render.py --frames 2' 'perf/bench_score.py --frames 4'
 
 perf: env
 	@for script in $(PERF); do echo "== $$script"; $(BIN)/python $$script || exit 1; done
@@ -98,7 +99,7 @@ schemas: env
 nightly: env
 	@$(MAKE) docs dist structure schemas
 	@git diff --exit-code --stat -- schemas || { echo "error: schemas/ is stale; commit what make schemas wrote" >&2; exit 1; }
-	@tools/try-wheel build/dist/*.whl
+	@tools/try-wheel
 	@$(MAKE) perf PERF="$(NIGHTLY_PERF)"
 	@$(MAKE) mutants MUTANTS="--count 24"
 

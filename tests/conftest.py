@@ -7,6 +7,7 @@ import gc
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable, Generator, Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,13 +16,20 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.skips import program_missing, refuse_report
+from tests.timings import Timings
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REPOSITORY = Path(__file__).resolve().parent.parent
+TIMINGS = Timings()
 
+if sys.dont_write_bytecode and sys.pycache_prefix is None:
+    # Nothing is written beside the sources then. Compiling all tests anew, with pytest's rewritten
+    # assertions, takes half of the processor time of a collection.
+    sys.pycache_prefix = str(REPOSITORY / ".pytest_cache" / "bytecode")
+    sys.dont_write_bytecode = False
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Each worker has a core; more threads would only wait for each other. Read at first imports.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -51,10 +59,39 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """In continuous integration few skips are allowed."""
+    """In continuous integration few skips are allowed; what each test costs is written down."""
     report = yield
     refuse_report(report)
+    report.processor_s = TIMINGS.lap()
     return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Count what a test cost, in this process or in a worker."""
+    TIMINGS.add(report.nodeid, getattr(report, "processor_s", 0.0))
+
+
+def pytest_collection_finish() -> None:
+    """The collection counts for no test."""
+    TIMINGS.lap()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A run over its budget fails; long tests have none, and coverage slows all tests down."""
+    config = session.config
+    free = config.option.markexpr == "long" or config.pluginmanager.hasplugin("_cov")
+    if not free and "PYTEST_XDIST_WORKER" not in os.environ and TIMINGS.over():
+        session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """The costs, where a run is long enough to have some."""
+    if sum(TIMINGS.spent_s.values()) > 60:
+        terminalreporter.section("processor time by package")
+        for line in TIMINGS.table():
+            terminalreporter.write_line(line)
+        for name in TIMINGS.over():
+            terminalreporter.write_line(f"over the budget of tests/timings.py: {name}", red=True)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -1,10 +1,11 @@
 """Mutation testing: do the tests detect small changes of the code?  `make mutants`.
 
 Cosmic Ray creates the mutants: it changes one operator, number or condition of a module. A seeded
-sample is drawn over the modules where an undetected mistake costs most. Each mutant runs in a copy
-of the repository against the tests that execute the changed lines, quick tests first, up to
-`--seconds` of them. Coverage does not record lines compiled by numba; they use the tests of their
-module. A mutant that no test detects survives and is listed with its diff.
+sample, as many from each area, is drawn over the modules where an undetected mistake costs most.
+Each mutant runs in a copy of the repository against the tests that execute the changed lines, quick
+tests first, up to `--seconds` of them. Lines compiled by numba, which coverage does not record, and
+lines that run at import, such as the limits in settings, use the tests of their module. A mutant
+that no test detects survives and is listed with its diff. After `--hours` no further one begins.
 
 Skipped are changes that no test can detect, in annotations, decorators, error messages and code for
 type checkers; bit operators in place of arithmetic, which every test would detect; and identity in
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import itertools
 import json
 import os
 import random
@@ -26,6 +28,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import time
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
@@ -48,10 +51,18 @@ AREAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("std_toolkit/poses/*scale*.py", "std_toolkit/poses/known_points.py"),
         ("tests/std_toolkit/poses",),
     ),
-    "gates": (
-        ("std_toolkit/poses/pose_step.py", "std_toolkit/checks/gates/*.py"),
-        ("tests/std_toolkit/poses", "tests/std_toolkit/checks"),
+    "poses": (("std_toolkit/poses/*.py",), ("tests/std_toolkit/poses",)),
+    "gates": (("std_toolkit/checks/gates/*.py",), ("tests/std_toolkit/checks",)),
+    "checks": (
+        ("std_toolkit/checks/**/*.py",),
+        ("tests/std_toolkit/checks", "tests/std_toolkit/faults"),
     ),
+    "labels": (
+        ("std_toolkit/labels/**/*.py",),
+        ("tests/std_toolkit/labels", "tests/std_toolkit/faults"),
+    ),
+    "scanning": (("std_toolkit/scanning/**/*.py",), ("tests/std_toolkit/scanning",)),
+    "importers": (("std_toolkit/importers/**/*.py",), ("tests/std_toolkit/importers",)),
     "metrics": (("benchmark/metrics/**/*.py",), ("tests/benchmark/metrics",)),
     "resume": (
         ("benchmark/evaluation/engine.py", "benchmark/evaluation/results.py"),
@@ -62,6 +73,9 @@ AREAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("benchmark/metrics/grasp/collision.py", "benchmark/tabletop/grasp.py"),
         ("tests/benchmark/metrics", "tests/benchmark/tabletop"),
     ),
+    "tabletop": (("benchmark/tabletop/**/*.py",), ("tests/benchmark/tabletop",)),
+    "restoring": (("benchmark/restoring/**/*.py",), ("tests/benchmark/restoring",)),
+    "sensors": (("sensors/**/*.py",), ("tests/sensors",)),
 }
 _DURATION = re.compile(r"^([\d.]+)s (?:call|setup)\s+(\S.*)$")
 # Between numbers these raise an error, which any test detects.
@@ -110,7 +124,9 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=120, help="tests of one mutant, at most")
     parser.add_argument("--area", choices=AREAS, nargs="+", default=list(AREAS))
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "mutants")
+    parser.add_argument("--hours", type=float, default=2, help="begin no mutant after that")
     args = parser.parse_args()
+    deadline = time.time() + 3600 * args.hours
     out = args.out.resolve()
     commit = _output("git", "rev-parse", "HEAD")
     if not (out / "commit").is_file() or (out / "commit").read_text() != commit:
@@ -122,11 +138,20 @@ def main() -> int:
     for number in range(args.workers):
         _copy_repository(out / f"copy{number}")  # a killed run may have left a mutant
     mutants = [m for area in args.area for m in _mutants(area, out, args.seconds)]
-    mutants = list({m.key: m for m in mutants}.values())
-    sample = random.Random(args.seed).sample(mutants, min(args.count, len(mutants)))
-    sample.sort(key=lambda m: m.seconds)
+    mutants = list({m.key: m for m in reversed(mutants)}.values())  # of its first area
+    sample = _sample(mutants, args.count, args.seed)
     print(f"{len(sample)} of {len(mutants)} mutants, seed {args.seed}", flush=True)
-    return _report(_run(sample, out, args.workers), args.least)
+    return _report(_run(sample, out, args.workers, deadline), args.least)
+
+
+def _sample(mutants: list[Mutant], count: int, seed: int) -> list[Mutant]:
+    """As many mutants of each area, as far as it has them, in random order."""
+    draw = random.Random(seed)
+    areas = [[m for m in mutants if m.area == area] for area in AREAS]
+    for area in areas:
+        draw.shuffle(area)
+    rounds = itertools.zip_longest(*areas)
+    return [m for mutants_of_all in rounds for m in mutants_of_all if m is not None][:count]
 
 
 def _copy_repository(folder: Path) -> None:
@@ -146,7 +171,8 @@ def _measure_coverage(out: Path) -> None:
     command = [
         sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider",
         "-m", "not long",
-        "--cov=std_toolkit", "--cov=benchmark", "--cov-context=test", "--cov-report=",
+        "--cov=std_toolkit", "--cov=benchmark", "--cov=sensors",
+        "--cov-context=test", "--cov-report=",
         "--durations=0", "-vv", *tests,
     ]  # fmt: skip
     print("coverage of", " ".join(tests), flush=True)
@@ -187,6 +213,7 @@ def _mutants(area: str, out: Path, seconds: float) -> list[Mutant]:
         module = str(path.relative_to(ROOT))
         by_line = _tests_by_line(out / "coverage", module)
         of_module = {test for tests in by_line.values() for test in tests}
+        at_import = {line for line, tests in by_line.items() if not tests}
         hidden, compiled = _unseen(path)
         tree = get_ast_from_path(path)
         for name, kind in operators.items():
@@ -196,7 +223,7 @@ def _mutants(area: str, out: Path, seconds: float) -> list[Mutant]:
             places = (p for n in ast_nodes(tree) for p in operator.mutation_positions(n))
             for occurrence, (start, _end) in enumerate(places):
                 tests = by_line.get(start[0], set())
-                if start[0] in compiled or (start[0] not in by_line and of_module):
+                if start[0] in compiled or start[0] in at_import or start[0] not in by_line:
                     tests = tests or of_module
                 if any(a <= start < b for a, b in hidden) or not tests:
                     continue
@@ -268,8 +295,8 @@ def _is_unseen(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
 
 
-def _run(sample: list[Mutant], out: Path, workers: int) -> list[dict[str, object]]:
-    """Outcome of each mutant; those of an earlier run are reused."""
+def _run(sample: list[Mutant], out: Path, workers: int, deadline: float) -> list[dict[str, object]]:
+    """Outcome of each mutant that began before the deadline; an earlier run's are reused."""
     kept = out / "results.jsonl"
     known = {}
     if kept.is_file():
@@ -279,14 +306,16 @@ def _run(sample: list[Mutant], out: Path, workers: int) -> list[dict[str, object
     copies = [out / f"copy{number}" for number in range(workers)]
     with kept.open("a") as file:
         pools = [ProcessPoolExecutor(1, initializer=_enter, initargs=(copy,)) for copy in copies]
-        futures = [pools[i % workers].submit(_judge, m) for i, m in enumerate(left)]
+        futures = [pools[i % workers].submit(_judge, m, deadline) for i, m in enumerate(left)]
         for number, future in enumerate(as_completed(futures), 1):
             row = future.result()
+            if row is None:
+                continue
             known[row["key"]] = row
             file.write(json.dumps(row) + "\n")
             file.flush()
             print(f"{number}/{len(left)} {row['outcome']:9} {row['key']}", flush=True)
-    return [known[m.key] for m in sample]
+    return [known[m.key] for m in sample if m.key in known]
 
 
 def _enter(copy: Path) -> None:
@@ -294,7 +323,10 @@ def _enter(copy: Path) -> None:
     os.environ.update(_environment(copy))
 
 
-def _judge(mutant: Mutant) -> dict[str, object]:
+def _judge(mutant: Mutant, deadline: float) -> dict[str, object] | None:
+    """The outcome of a mutant; None after the deadline."""
+    if time.time() > deadline:
+        return None
     from cosmic_ray.mutating import mutate_and_test
     from cosmic_ray.work_item import MutationSpec
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
@@ -13,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result
-from std_toolkit.checks.gates.judge import judge_scene
+from std_toolkit.checks.gates.judge import all_gates, judge_scene
 from std_toolkit.checks.inject.inject import inject_faults
-from std_toolkit.checks.measure import aggregate, coverage, object_sizes, residuals
+from std_toolkit.checks.measure import coverage, object_sizes, residuals
 from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.coverage import spread
 from std_toolkit.checks.measure.textures import compare_textures
@@ -36,6 +39,45 @@ FOLDER = "check"
 _CLOSEUPS = 4
 _DEPTH_PANELS = 3
 _DRAWN_HERE = 30
+# Columns of report.csv: fields of the object, and parts of its values.
+_FIELDS = (
+    "object", "name", "model", "category", "material", "label", "annotated_frame", "frames_seen",
+)  # fmt: skip
+_AXES = ("motion_x_mm", "motion_y_mm", "motion_z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
+_COLUMNS: dict[str, tuple[str, str | int]] = {
+    **{key: (key, "value") for key in (
+        "visible_fraction", "edge_px", "edge_p90_px", "edge_tail_px", "edge_support",
+        "edge_chance_px", "depth_mm", "depth_mad_mm", "depth_unscaled_mm", "distance_m",
+        "shift_px", "shift_share", "shift_spread_px",
+    )},
+    **{f"offset_{axis}_mm": ("offset_mm", i) for i, axis in enumerate("xyz")},
+    "offset_norm_mm": ("offset_mm", "value"),
+    "drift_px": ("drift_px", "value"),
+    "drift_mm": ("drift_mm", "value"),
+    "drift_frames": ("drift_px", "frames"),
+    "motion_mm": ("motion_mm", "value"),
+    "motion_std_mm": ("motion_mm", "std"),
+    "motion_deg": ("motion_deg", "value"),
+    "motion_std_deg": ("motion_deg", "std"),
+    **{column: ("motion_mm", i) for i, column in enumerate(_AXES)},
+    "size_error": ("size_error", "value"),
+    "size_std": ("size_error", "std"),
+    "confirmed": ("confirmed", "text"),
+    "confirmed_share": ("confirmed", "value"),
+    "label_std_mm": ("label_std_mm", "value"),
+    "label_std_deg": ("label_std_deg", "value"),
+    "weak_direction": ("label_std_mm", "text"),
+    **{key: (key, "value") for key in (
+        "azimuth_span_deg", "elevation_min_deg", "elevation_max_deg", "parallax_deg",
+        "largest_step_deg", "completeness", "raw_median_mm", "raw_mae_mm", "raw_rmse_mm",
+    )},
+    "texture_verdict": ("texture", "text"),
+    "texture_score": ("texture", "value"),
+    "texture_rival_score": ("texture_rival", "value"),
+    "texture_frames": ("texture", "frames"),
+    "texture_text": ("texture_rival", "text"),
+}  # fmt: skip
+_TRUTH = {"yes": True, "no": False}
 
 
 def run_check(
@@ -62,7 +104,11 @@ def run_check(
         sweep_temporaries(scene.root)
         frames = spread(scene.registered_frames(), options.max_frames)
         fingerprint = scene_fingerprint(scene)
-        inputs = {SCENE_INPUT: fingerprint, "version of plotly": version("plotly")}
+        inputs = {
+            SCENE_INPUT: fingerprint,
+            "gates": " ".join(gate.key for gate in all_gates()),
+            "version of plotly": version("plotly"),
+        }
         artefact = Artefact(scene.root, STEP, inputs | _files(scene, frames), asdict(options))
         if artefact.is_kept():
             return read_document(scene.root / FOLDER / "report.json", result.CheckReport)
@@ -70,8 +116,8 @@ def run_check(
             report, page = _check(scene, frames, fingerprint, options, jobs, arrays)
         outputs = {
             "report.html": page.encode(),
-            "report.csv": result.objects_csv(report),
-            "frames.csv": result.frames_csv(report),
+            "report.csv": objects_csv(report),
+            "frames.csv": frames_csv(report),
             "report.json": document_bytes(report),
         }
         for name, data in outputs.items():
@@ -139,7 +185,7 @@ def _check(
     parts = PageParts(
         view3d, figures.sky_figure(_sky(scene, report.objects, up), report.objects), pictures
     )
-    return report, render_page(report, parts, options)
+    return report, render_page(report, parts)
 
 
 def _drawing_orders(
@@ -191,7 +237,7 @@ def _sky(
     views = {}
     for item in objects:
         seen = [f for f in item.frames if f.visible_fraction >= coverage.SEEN_FRACTION]
-        found = aggregate.view_directions(scene, item.object, [f.frame for f in seen], up)
+        found = coverage.view_directions(scene, item.object, [f.frame for f in seen], up)
         if found is not None:
             views[item.object] = (*found, seen)
     return views
@@ -213,3 +259,49 @@ def _files(scene: Scene, frames: list[Frame]) -> dict[str, str]:
             maps = map_paths(scene.root, frame.id)
             files += [info_path(scene.root, frame.id), maps["mask"], maps["depth"]]
     return digest_files(scene.root, files)
+
+
+def objects_csv(report: result.CheckReport) -> bytes:
+    """One row per object; motions become one column per number.
+
+    Values without a column of their own are the last columns.
+    """
+    known = {key for key, _ in _COLUMNS.values()}
+    others = list(
+        dict.fromkeys(v.key for o in report.objects for v in o.values if v.key not in known)
+    )
+    return _csv(
+        [_object_row(item, others) for item in report.objects],
+        [*_FIELDS, *_COLUMNS, "verdict", *others],
+    )
+
+
+def _object_row(item: result.ObjectCheck, others: Sequence[str]) -> dict[str, Any]:
+    row: dict[str, Any] = {name: getattr(item, name) for name in (*_FIELDS, "verdict")}
+    for column, (key, part) in _COLUMNS.items():
+        entry = item.entry(key)
+        if isinstance(part, int):
+            row[column] = None if entry is None or entry.motion is None else entry.motion[part]
+        elif entry is not None:
+            row[column] = getattr(entry, part)
+        elif part == "frames":
+            row[column] = 0
+    row["confirmed"] = _TRUTH.get(row.get("confirmed", ""))
+    return row | {key: item.value(key) for key in others}
+
+
+def frames_csv(report: result.CheckReport) -> bytes:
+    """One row per frame of the recording."""
+
+    rows = [msgspec.to_builtins(frame) for frame in report.frames]
+    return _csv(rows, [f.name for f in msgspec.structs.fields(result.FrameCheck)])
+
+
+def _csv(rows: Sequence[dict[str, Any]], columns: list[str]) -> bytes:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    for row in rows:
+        values = (row.get(name) for name in columns)
+        table.writerow("" if v is None or v != v else v for v in values)  # NaN is empty too
+    return text.getvalue().encode()

@@ -1,33 +1,23 @@
-"""Structure of check/report.json, and the tables report.csv and frames.csv."""
+"""Structure of check/report.json."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Iterable
+from typing import Literal
 
 import msgspec
 
 from std_toolkit.checks.detectability import Detectability
+from std_toolkit.errors import ToolkitError
 from std_toolkit.scene.model import Count, Document, ObjectId, ScaleEstimate, ScaleReport
 
 Severity = Literal["high", "medium", "low"]
 
+Verdict = Literal["good", "doubtful", "bad", "open"]
+
 Number = float | None
 
-_PARTS = {
-    "offset_mm": ("offset_x_mm", "offset_y_mm", "offset_z_mm"),
-    "motion": (
-        "motion_x_mm",
-        "motion_y_mm",
-        "motion_z_mm",
-        "turn_x_deg",
-        "turn_y_deg",
-        "turn_z_deg",
-    ),
-    "elevation_deg": ("elevation_min_deg", "elevation_max_deg"),
-}
+Source = Literal["contour", "depth", "texture", "label", "views"]
 
 
 class CheckGate(Document, frozen=True, kw_only=True):
@@ -37,6 +27,7 @@ class CheckGate(Document, frozen=True, kw_only=True):
         key: stable name, such as "edges".
         title: what is measured, in words.
         value: null if it could not be measured; `status` is then "open".
+        deviation: standard deviation of the value, if known.
         limit: limit in the same unit.
         rule: "at least" or "at most" the limit.
         unit: "", "px", "mm", "%" (value and limit are then in percent).
@@ -48,12 +39,30 @@ class CheckGate(Document, frozen=True, kw_only=True):
     key: str
     title: str
     value: Number
+    deviation: Number = None
     limit: float
     rule: Literal["at least", "at most"]
     unit: str = ""
     status: Literal["pass", "fail", "open"]
     detail: str = ""
     advice: str = ""
+
+
+class GateFinding(Document, frozen=True, kw_only=True):
+    """What one gate says of one object.
+
+    Attributes:
+        gate: its key.
+        value: of the object, in the unit of the gate; null if it was not measured.
+        verdict: "open" if what was not measured leaves the verdict open.
+        exempt: why the object cannot fail the gate of the scene, or counts less than what was
+            measured, or "".
+    """
+
+    gate: str
+    value: Number = None
+    verdict: Verdict
+    exempt: str = ""
 
 
 class CheckWarning(Document, frozen=True, kw_only=True):
@@ -112,6 +121,33 @@ class ObjectFrameCheck(Document, frozen=True, kw_only=True):
     fault: str = ""
 
 
+class Value(Document, frozen=True, kw_only=True, omit_defaults=True):
+    """One number measured on an object over all frames.
+
+    Attributes:
+        key: stable name, such as "edge_px"; see `ObjectCheck`.
+        value: null if only its finding in words is known.
+        std: its standard deviation, if known.
+        unit: "", "px", "mm", "m" or "deg"; "" for fractions.
+        source: what was measured.
+        frames: number of frames that were used, if it was counted.
+        text: the finding in words, or "".
+        motion: [x, y, z] translation in mm, [x, y, z] rotation vector in degrees, from the label to
+            what was measured, along the axes of the world.
+        covariance: of `motion`, 6x6 by rows.
+    """
+
+    key: str
+    value: Number = None
+    std: Number = None
+    unit: Literal["", "px", "mm", "m", "deg"] = ""
+    source: Source
+    frames: Count = 0
+    text: str = ""
+    motion: list[float] | None = None
+    covariance: list[float] | None = None
+
+
 class ObjectCheck(Document, frozen=True, kw_only=True):
     """One object over all measured frames.
 
@@ -120,47 +156,39 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
         label: "none", "annotated" (not propagated), "propagated" or "refined".
         annotated_frame: frame id of the annotation.
         frames_seen: frames in which it is visible.
-        visible_fraction: median over these.
-        edge_px: median over frames of the frame's median edge distance.
-        edge_p90_px: 90th percentile over frames of the frame's median.
-        edge_tail_px: median over frames of the frame's 90th percentile along the contour.
-        edge_support: median fraction of the contour near an edge.
-        edge_chance_px: edge distance of contours at random places nearby.
-        depth_mm, depth_mad_mm: rendered minus sensor depth, diffuse objects only: median over
+        values: what was measured; a value that was not is absent. By key:
+            visible_fraction: median over the frames that see it.
+            edge_px, edge_p90_px: median and 90th percentile over frames of the frame's median edge
+            distance; edge_tail_px: median of the frame's 90th percentile along the contour.
+            edge_support: median fraction of the contour near an edge.
+            edge_chance_px: edge distance of contours at random places nearby.
+            depth_mm, depth_mad_mm: rendered minus sensor depth, diffuse objects only: median over
             frames of the frame's median, and of its median absolute deviation.
-        depth_unscaled_mm: `depth_mm` without the bias common to all diffuse objects.
-        distance_m: median distance of the surface from the camera.
-        shift_px: median length of the frames' best shifts of the contour.
-        shift_share: fraction of the frames that see it with a clear best shift.
-        shift_spread_px: median distance of the frames' shifts from their median.
-        offset_mm: correction [x, y, z] in the world that explains the shifts best.
-        offset_norm_mm: its length.
-        drift_px, drift_mm: part of the shifts that no correction explains, median over frames.
-        drift_frames: number of frames with a shift.
-        motion_mm, motion_std_mm: significant translation between the label and the images of all
-            frames, and its standard deviation; 0 if none is significant, null if not measured.
-        motion_deg, motion_std_deg: the same for the rotation about the object's centre.
-        motion: [x, y, z] translation in mm, [x, y, z] rotation vector in degrees, along the axes of
-            the world, with the parts that are not significant.
-        size_error, size_std: size of the object relative to its mesh, minus 1; null with fewer
-            than four frames.
-        confirmed: whether the images show the object where the label puts it; null if the object
-            has no label in the world.
-        confirmed_share: fraction of the frames with a visible contour in which it beats chance.
-        label_std_mm: standard deviation along the weakest direction, from the label's covariance.
-        label_std_deg: the same for the rotation.
-        weak_direction: sentence from the label.
-        azimuth_span_deg, elevation_deg, parallax_deg, largest_step_deg: view directions.
-        completeness: fraction of the ground-truth pixels with sensor depth.
-        raw_median_mm, raw_mae_mm, raw_rmse_mm: raw minus ground-truth depth.
-        texture_verdict: the texture against turns of the label: "fits", "turned" (a turn fits
-            better), "undecided", "ambiguous" (no texture, and a turn has the same silhouette), or
-            "" if it was not compared.
-        texture_score, texture_rival_score: agreement of the texture at the label and at the best
-            turn, -1..1.
-        texture_frames: number of frames that were compared.
-        texture_text: that turn, such as "turned by 180 deg about z".
-        verdict: "good", "doubtful", "bad" or "open" (no evidence).
+            depth_unscaled_mm: `depth_mm` without the bias common to all diffuse objects.
+            distance_m: median distance of the surface from the camera.
+            shift_px, shift_spread_px: median length of the frames' best shifts of the contour, and
+            median distance from their median; shift_share: fraction of the frames that have one.
+            offset_mm: length of the correction in the world that explains the shifts best.
+            drift_px, drift_mm: part of the shifts that no correction explains, median over frames.
+            motion_mm, motion_deg: significant translation between the label and the images of all
+            frames, and rotation about the object's centre; 0 if none is significant. `motion` has
+            also the parts that are not significant.
+            size_error: size of the object relative to its mesh, minus 1; with at least four frames.
+            confirmed: fraction of the frames with a visible contour in which it beats chance; its
+            text says whether the images show the object where the label puts it: "yes" or "no".
+            label_std_mm, label_std_deg: standard deviation along the weakest direction, from the
+            label's covariance; the text is the label's own sentence on it.
+            azimuth_span_deg, elevation_min_deg, elevation_max_deg, parallax_deg,
+            largest_step_deg: view directions.
+            completeness: fraction of the ground-truth pixels with sensor depth.
+            raw_median_mm, raw_mae_mm, raw_rmse_mm: raw minus ground-truth depth.
+            texture: agreement of the texture at the label, -1..1; its text is "fits", "turned" (a
+            turn fits better), "undecided" or "ambiguous" (no texture, and a turn has the same
+            silhouette).
+            texture_rival: the same at the best turn; its text is that turn, such as "turned by
+            180 deg about z".
+        verdict: the worst of its gates: "good", "doubtful", "bad" or "open" (no evidence).
+        gates: what each gate says of it.
         frames: values of single frames.
     """
 
@@ -172,51 +200,38 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
     label: Literal["none", "annotated", "propagated", "refined"]
     annotated_frame: Count | None = None
     frames_seen: Count = 0
-    visible_fraction: Number = None
-    edge_px: Number = None
-    edge_p90_px: Number = None
-    edge_tail_px: Number = None
-    edge_support: Number = None
-    edge_chance_px: Number = None
-    depth_mm: Number = None
-    depth_mad_mm: Number = None
-    depth_unscaled_mm: Number = None
-    distance_m: Number = None
-    shift_px: Number = None
-    shift_share: Number = None
-    shift_spread_px: Number = None
-    offset_mm: list[float] | None = None
-    offset_norm_mm: Number = None
-    drift_px: Number = None
-    drift_mm: Number = None
-    drift_frames: Count = 0
-    motion_mm: Number = None
-    motion_std_mm: Number = None
-    motion_deg: Number = None
-    motion_std_deg: Number = None
-    motion: list[float] | None = None
-    size_error: Number = None
-    size_std: Number = None
-    confirmed: bool | None = None
-    confirmed_share: Number = None
-    label_std_mm: Number = None
-    label_std_deg: Number = None
-    weak_direction: str = ""
-    azimuth_span_deg: Number = None
-    elevation_deg: list[float] | None = None
-    parallax_deg: Number = None
-    largest_step_deg: Number = None
-    completeness: Number = None
-    raw_median_mm: Number = None
-    raw_mae_mm: Number = None
-    raw_rmse_mm: Number = None
-    texture_verdict: Literal["", "fits", "turned", "undecided", "ambiguous"] = ""
-    texture_score: Number = None
-    texture_rival_score: Number = None
-    texture_frames: Count = 0
-    texture_text: str = ""
-    verdict: Literal["good", "doubtful", "bad", "open"] = "open"
+    values: list[Value] = msgspec.field(default_factory=list)
+    verdict: Verdict = "open"
+    gates: list[GateFinding] = msgspec.field(default_factory=list)
     frames: list[ObjectFrameCheck] = msgspec.field(default_factory=list)
+
+    @property
+    def is_labelled(self) -> bool:
+        """Whether it has a label in the world."""
+        return self.label in ("propagated", "refined")
+
+    def entry(self, key: str) -> Value | None:
+        """The value with a key; None if it was not measured."""
+        return next((v for v in self.values if v.key == key), None)
+
+    def value(self, key: str) -> Number:
+        """The number of a value; None if it was not measured."""
+        entry = self.entry(key)
+        return None if entry is None else entry.value
+
+    def std(self, key: str) -> Number:
+        """The standard deviation of a value; None if it is unknown."""
+        entry = self.entry(key)
+        return None if entry is None else entry.std
+
+    def text(self, key: str) -> str:
+        """The words of a value; "" if it was not measured."""
+        entry = self.entry(key)
+        return "" if entry is None else entry.text
+
+    def with_values(self, values: Iterable[Value]) -> ObjectCheck:
+        """The object with further values."""
+        return msgspec.structs.replace(self, values=[*self.values, *values])
 
 
 class FrameCheck(Document, frozen=True, kw_only=True):
@@ -345,39 +360,17 @@ class CheckReport(Document, frozen=True, kw_only=True):
     limits: dict[str, float]
     detectability: Detectability | None = None
 
+    def gate(self, key: str) -> CheckGate:
+        """The row of a gate.
+
+        Raises:
+            ToolkitError: the report has no such gate.
+        """
+        for row in self.gates:
+            if row.key == key:
+                return row
+        raise ToolkitError("no such gate", field="gate", value=key)
+
     def failed_gates(self) -> list[CheckGate]:
         """The gates that failed, in order."""
         return [g for g in self.gates if g.status == "fail"]
-
-
-def objects_csv(report: CheckReport) -> bytes:
-    """One row per object; lists become one column per number."""
-
-    rows = [_flat(msgspec.to_builtins(item)) for item in report.objects]
-    names = [f.name for f in msgspec.structs.fields(ObjectCheck) if f.name != "frames"]
-    return _csv(rows, [part for name in names for part in _PARTS.get(name, (name,))])
-
-
-def frames_csv(report: CheckReport) -> bytes:
-    """One row per frame of the recording."""
-
-    rows = [msgspec.to_builtins(frame) for frame in report.frames]
-    return _csv(rows, [f.name for f in msgspec.structs.fields(FrameCheck)])
-
-
-def _flat(row: dict[str, Any]) -> dict[str, Any]:
-    row.pop("frames")
-    for name, parts in _PARTS.items():
-        values = row.pop(name) or [None] * len(parts)
-        row |= dict(zip(parts, values, strict=True))
-    return row
-
-
-def _csv(rows: Sequence[dict[str, Any]], columns: list[str]) -> bytes:
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(columns)
-    for row in rows:
-        values = (row.get(name) for name in columns)
-        table.writerow("" if v is None or v != v else v for v in values)  # NaN is empty too
-    return text.getvalue().encode()

@@ -18,7 +18,7 @@ from std_toolkit.rendering.ground_truth import read_frame_truth
 from std_toolkit.rendering.raycast import RaycastRenderer
 from std_toolkit.rendering.renderer import Raster
 from std_toolkit.scanning.surface.depth_maps import depth_maps
-from std_toolkit.scene.model import CameraModel, Frame
+from std_toolkit.scene.model import Frame
 from std_toolkit.scene.scale_model import ScaleEstimate
 
 
@@ -31,7 +31,7 @@ class Pairs:
     def read(self, request: ImportRequest) -> Recording:
         images = sorted((request.source / "rgb").glob("*.png"))
         fx, fy, cx, cy = map(float, (request.source / "K.txt").read_text().split())
-        camera = CameraModel.of(Camera(*image_size(images[0]), fx, fy, cx, cy))
+        camera = Camera(*image_size(images[0]), fx, fy, cx, cy)
         frames = []
         for i, image in enumerate(images):
             color = SourceFile(source=image, target=f"color/{image.stem}", kind="color")

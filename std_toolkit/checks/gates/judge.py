@@ -1,26 +1,72 @@
-"""The report of the check from the measurements of the frames, without pictures."""
+"""The judge: the report of the check from the measurements of the frames, without pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result
-from std_toolkit.checks.gates import report_warnings
-from std_toolkit.checks.gates.fault_gates import fault_gates
-from std_toolkit.checks.gates.frame_faults import find_frame_faults
-from std_toolkit.checks.gates.gates import evaluate_gates, evaluate_object, scale_share
-from std_toolkit.checks.gates.motion_checks import motion_gates, with_motions
+from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
+from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
-from std_toolkit.checks.measure.alignment import common_depth_shift
+from std_toolkit.checks.measure.object_motion import with_motions
+from std_toolkit.checks.measure.sensor_depth import common_depth_shift
+from std_toolkit.errors import ToolkitError
 from std_toolkit.labels.texture.comparison import TextureComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import ScaleEstimate
+
+_FAMILIES = (
+    *poses.GATES,
+    *contour.GATES,
+    *depth.GATES,
+    *frames.GATES,
+    *motion.GATES,
+    *texture.GATES,
+)
+_added: list[Gate] = []
+# From the best verdict to the worst: what nobody could see is worse than a doubt.
+_ORDER: tuple[result.Verdict, ...] = ("good", "doubtful", "open", "bad")
+_SEVERITY: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
+
+
+def all_gates() -> tuple[Gate, ...]:
+    """The gates of all families and the registered ones, in the order of the report."""
+    return _ordered((*_FAMILIES, *_added))
+
+
+def _ordered(gates: Iterable[Gate]) -> tuple[Gate, ...]:
+    """The gates in the order of the report.
+
+    Raises:
+        ToolkitError: two gates have one key.
+    """
+    found: list[Gate] = []
+    for gate in gates:
+        keys = [g.key for g in found]
+        if gate.key in keys:
+            raise ToolkitError("two gates have this key", field="key", value=gate.key)
+        found.append(gate)
+    for gate in [g for g in found if g.after]:
+        found.remove(gate)
+        above = [k for k, g in enumerate(found) if g.key == gate.after]
+        found.insert(above[0] + 1 if above else len(found), gate)
+    return tuple(found)
+
+
+def register_gate(gate: Gate) -> None:
+    """Add a gate from outside of this package, for the running process.
+
+    Raises:
+        ToolkitError: a gate has this key.
+    """
+    _ordered((*all_gates(), gate))
+    _added.append(gate)
 
 
 def judge_scene(
@@ -52,27 +98,64 @@ def judge_scene(
     objects = with_motions(scene, objects, observed, options)
     summary = _summary(scene, objects, rows, observed, bias)
     summary = msgspec.structs.replace(summary, sizes=sizes)
-    objects = [evaluate_object(o, scale_share(summary), options) for o in objects]
-    faults = find_frame_faults(objects, rows, options)
-    objects, rows = faults.objects, faults.frames
-    gates = evaluate_gates(summary, objects, rows, scene.poses, options)
-    gates += fault_gates(faults, summary, options)
-    gates += motion_gates(objects, options)
-    gates += [textures.texture_gate(objects), *_mesh_gate(scene)]
-    failed = [g for g in gates if g.status == "fail"]
-    return result.CheckReport(
-        scene=scene.info.name,
-        passed=not failed,
-        verdict=_verdict(failed, summary),
-        summary=summary,
-        gates=gates,
-        warnings=report_warnings.find_warnings(summary, gates, objects, rows, materials, options),
-        missing=_missing(scene, summary, observed),
-        objects=objects,
-        frames=rows,
-        materials=materials,
-        limits={k: float(v) for k, v in asdict(options).items()},
+    report = judge_rows(
+        Measured(
+            summary=summary,
+            objects=objects,
+            frames=rows,
+            options=options,
+            materials=materials,
+            poses=scene.poses,
+            unreadable=_unreadable_meshes(scene),
+        )
     )
+    return msgspec.structs.replace(
+        report, scene=scene.info.name, missing=_missing(scene, summary, observed)
+    )
+
+
+def judge_rows(measured: Measured) -> result.CheckReport:
+    """The report from the tables of the objects and frames: faults, gates, verdicts, warnings.
+
+    Args:
+        measured: what was measured, without the faults of frames.
+    """
+    faults = frames.find_frame_faults(measured.objects, measured.frames, measured.options)
+    measured = replace(
+        measured,
+        objects=faults.objects,
+        frames=faults.frames,
+        camera=faults.camera,
+        moved=faults.moved,
+        unfit=faults.unfit,
+    )
+    gates = all_gates()
+    objects = [_with_verdict(o, gates, measured) for o in measured.objects]
+    found = [(gate, gate.evaluate(measured)) for gate in gates]
+    rows = [row for gate, row in found if row.value is not None or not gate.optional]
+    failed = [row for row in rows if row.status == "fail"]
+    return result.CheckReport(
+        scene="",
+        passed=not failed,
+        verdict=_verdict(failed, measured.summary),
+        summary=measured.summary,
+        gates=rows,
+        warnings=_find_warnings(gates, rows, measured),
+        missing=[],
+        objects=objects,
+        frames=list(measured.frames),
+        materials=list(measured.materials),
+        limits={k: float(v) for k, v in asdict(measured.options).items()},
+    )
+
+
+def _with_verdict(
+    item: result.ObjectCheck, gates: Sequence[Gate], measured: Measured
+) -> result.ObjectCheck:
+    """The object with the worst verdict of its gates; "open" without any."""
+    found = [f for gate in gates if (f := gate.finding(item, measured)) is not None]
+    verdict = max((f.verdict for f in found), key=_ORDER.index, default="open")
+    return msgspec.structs.replace(item, gates=found, verdict=verdict)
 
 
 def _summary(
@@ -94,7 +177,7 @@ def _summary(
         looked_at=len(observed),
         reprojection_px=aggregate.rounded(float(np.mean(errors))) if errors else None,
         objects=len(objects),
-        labelled=sum(o.label in ("propagated", "refined") for o in objects),
+        labelled=sum(o.is_labelled for o in objects),
         depth_frames=sum(f.depth is not None for f in scene.frames),
         truth_frames=current,
         truth_source="rendered maps" if current else "labels cast here" if cast else "none",
@@ -136,26 +219,32 @@ def _missing(
     return found
 
 
-def _mesh_gate(scene: Scene) -> list[result.CheckGate]:
-    problems = {
-        o.name: p
+def _unreadable_meshes(scene: Scene) -> dict[int, str]:
+    return {
+        o.id: problem
         for o in scene.objects.objects
-        if scene.T_world_obj(o.id) is not None and (p := contours.mesh_problem(scene, o.model))
+        if scene.T_world_obj(o.id) is not None
+        and (problem := contours.mesh_problem(scene, o.model))
     }
-    if not problems:
-        return []
-    return [
-        result.CheckGate(
-            key="meshes",
-            title="labelled objects whose mesh cannot be read",
-            value=float(len(problems)),
-            limit=0.0,
-            rule="at most",
-            status="fail",
-            detail=", ".join(problems),
-            advice="; ".join(problems.values()),
-        )
-    ]
+
+
+def _find_warnings(
+    gates: Sequence[Gate], rows: Sequence[result.CheckGate], measured: Measured
+) -> list[result.CheckWarning]:
+    """All warnings, the most severe first, those on objects before those on the scene.
+
+    Failed gates precede all others.
+
+    Args:
+        gates: the gates.
+        rows: their rows in the report.
+        measured: what they read.
+    """
+    by_key = {g.key: g for g in gates}
+    failed = [by_key[row.key].failure(row) for row in rows if row.status == "fail"]
+    names = {item.name for item in measured.objects}
+    rest = [w for gate in gates for w in gate.warnings(measured)]
+    return failed + sorted(rest, key=lambda w: (_SEVERITY[w.severity], w.about not in names))
 
 
 def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot
 from typing import Any
@@ -11,23 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result
-from std_toolkit.checks.measure import sensor_depth
-from std_toolkit.checks.measure.alignment import DepthShift, common_depth_shift
-from std_toolkit.checks.measure.contours import mesh_problem
-from std_toolkit.checks.measure.coverage import SEEN_FRACTION, directions, measure_coverage
-from std_toolkit.checks.measure.edges import Consistency, fit_consistency
+from std_toolkit.checks.measure.coverage import SEEN_FRACTION, measure_coverage, view_directions
 from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
-from std_toolkit.geometry.se3 import SE3
-from std_toolkit.scene import Object, Scene
+from std_toolkit.checks.measure.sensor_depth import (
+    DepthResidual,
+    DepthShift,
+    ErrorTally,
+    common_depth_shift,
+)
+from std_toolkit.scene import Label, Object, Scene
 
 # Frames that show less of an object constrain its pose too weakly.
-_JUDGED_FRACTION = 0.2
+JUDGED_FRACTION = 0.2
 # Edge distance over that by chance of a label that fits.
 _CLOSE = 0.6
 # Outlines that determine the shift of depth in one frame.
 _FEWEST_OUTLINES = 2
-_SHOWN_BIN_M = 0.002
-_SHOWN_LIMIT_M = 0.1
 MATERIAL_ORDER = ("raw", "diffuse", "specular", "transparent")
 
 
@@ -97,7 +96,7 @@ def check_frames(
                 pose_std_mm=_weakest(pose.covariance, 0, 1000) if pose else None,
                 looked_at=look is not None,
                 objects_visible=(
-                    sum(o.visible_fraction >= _JUDGED_FRACTION for o in look.objects.values())
+                    sum(o.visible_fraction >= JUDGED_FRACTION for o in look.objects.values())
                     if look
                     else 0
                 ),
@@ -126,7 +125,7 @@ def depth_shifts(observed: Sequence[FrameObservation]) -> list[DepthShift]:
 def _against_colour(observation: ObjectObservation) -> DepthShift | None:
     """The shift of depth against the image; the label's own shift is subtracted."""
     edges, depth = observation.edges, observation.depth_shift
-    if edges is None or depth is None or observation.visible_fraction < _JUDGED_FRACTION:
+    if edges is None or depth is None or observation.visible_fraction < JUDGED_FRACTION:
         return None
     if observation.shift is not None:
         x_px, y_px = depth.x_px - observation.shift.x_px, depth.y_px - observation.shift.y_px
@@ -151,21 +150,23 @@ def check_materials(
     rows = []
     for material in MATERIAL_ORDER:
         ids = {o.id for o in scene.objects.objects if o.material == material}
-        tally = _merged([f.tallies[i] for f in observed for i in sorted(ids & set(f.tallies))])
+        tally = ErrorTally.merged(
+            [f.tallies[i] for f in observed for i in sorted(ids & set(f.tallies))]
+        )
         if tally.truth_pixels == 0:
             continue
-        centres, shares = _shown_histogram(tally)
+        centres, shares = tally.shown_histogram()
         rows.append(
             result.MaterialDepth(
                 material=material,
                 objects=len(ids),
                 pixels=tally.truth_pixels,
                 completeness=rounded(tally.completeness, 4),
-                median_mm=_mm(tally.quantile_m(0.5)),
-                p05_mm=_mm(tally.quantile_m(0.05)),
-                p95_mm=_mm(tally.quantile_m(0.95)),
-                mae_mm=_mm(tally.mae_m),
-                rmse_mm=_mm(tally.rmse_m),
+                median_mm=in_mm(tally.quantile_m(0.5)),
+                p05_mm=in_mm(tally.quantile_m(0.05)),
+                p95_mm=in_mm(tally.quantile_m(0.95)),
+                mae_mm=in_mm(tally.mae_m),
+                rmse_mm=in_mm(tally.rmse_m),
                 within_10mm=rounded(tally.share_within(0.01), 4),
                 histogram_mm=centres,
                 histogram_share=shares,
@@ -188,126 +189,124 @@ def _check_object(
         if label.T_world_obj is not None:
             state = "refined" if label.refined else "propagated"
     rows = [(f.frame, f.objects[item.id]) for f in observed if item.id in f.objects]
-    judged = [o for _, o in rows if o.visible_fraction >= _JUDGED_FRACTION]
-    observation = [(f, o) for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
-    edges = [o.edges for o in judged if o.edges is not None]
-    edge_medians = [e.median_px for e in edges if e.median_px is not None]
-    residuals = [o.residual for o in judged if o.residual is not None]
-    drift = _consistency(judged)
-    tally = _merged([f.tallies[item.id] for f in observed if item.id in f.tallies])
-    fields: dict[str, Any] = {
-        "object": item.id,
-        "name": item.name,
-        "model": item.model,
-        "category": scene.objects.model(item.model).category,
-        "material": item.material,
-        "label": state,
-        "annotated_frame": label.frame if label else None,
-        "frames_seen": len(observation),
-        "visible_fraction": rounded(median([o.visible_fraction for _, o in rows])),
-        "edge_px": rounded(median(edge_medians)),
-        "edge_p90_px": rounded(float(np.percentile(edge_medians, 90))) if edge_medians else None,
-        "edge_tail_px": rounded(median([e.p90_px for e in edges])),
-        "edge_support": rounded(median([e.support for e in edges])),
-        "edge_chance_px": rounded(median([e.chance_px for e in edges])),
-        "label_std_mm": _weakest(label.covariance, 0, 1000) if label else None,
-        "label_std_deg": _weakest(label.covariance, 3, 180 / np.pi) if label else None,
-        "weak_direction": label.weak_direction if label else "",
-        "completeness": rounded(tally.completeness, 4),
-        "raw_median_mm": _mm(tally.quantile_m(0.5)),
-        "raw_mae_mm": _mm(tally.mae_m),
-        "raw_rmse_mm": _mm(tally.rmse_m),
-        "frames": [_object_frame(f, o, depth_bias) for f, o in rows],
-    }
-    if residuals:
-        fields["depth_mm"] = _mm(median([r.median_m for r in residuals]))
-        fields["depth_mad_mm"] = _mm(median([r.mad_m for r in residuals]))
-        fields["distance_m"] = rounded(median([r.depth_m for r in residuals]))
-        fields["depth_unscaled_mm"] = _mm(median([_unscaled(r, depth_bias) for r in residuals]))
-    shifts = [hypot(o.shift.x_px, o.shift.y_px) for o in judged if o.shift is not None]
-    if edges:
-        fields["shift_px"] = rounded(median(shifts))
-        fields["shift_share"] = rounded(len(shifts) / len(edges))
-    if drift is not None:
-        offset = [round(1000 * x, 2) for x in drift.offset_m]
-        fields |= {
-            "shift_spread_px": rounded(drift.spread_px),
-            "offset_mm": offset,
-            "offset_norm_mm": round(float(np.linalg.norm(offset)), 2),
-            "drift_px": rounded(drift.drift_px),
-            "drift_mm": _mm(drift.drift_m),
-            "drift_frames": drift.frames,
-        }
+    judged = [o for _, o in rows if o.visible_fraction >= JUDGED_FRACTION]
+    seen = [f for f, o in rows if o.visible_fraction >= SEEN_FRACTION]
+    tally = ErrorTally.merged([f.tallies[item.id] for f in observed if item.id in f.tallies])
+    visible = rounded(median([o.visible_fraction for _, o in rows]))
     return result.ObjectCheck(
-        **(fields | _coverage_fields(scene, item.id, [f for f, _ in observation], up))
+        object=item.id,
+        name=item.name,
+        model=item.model,
+        category=scene.objects.model(item.model).category,
+        material=item.material,
+        label=state,  # type: ignore[arg-type]
+        annotated_frame=label.frame if label else None,
+        frames_seen=len(seen),
+        values=[
+            *known_values("views", len(rows), visible_fraction=visible),
+            *_contour_values(judged),
+            *_residual_values(judged, depth_bias),
+            *_label_values(label),
+            *_coverage_values(scene, item.id, seen, up),
+            *known_values(
+                "depth",
+                completeness=rounded(tally.completeness, 4),
+                raw_median_mm=in_mm(tally.quantile_m(0.5)),
+                raw_mae_mm=in_mm(tally.mae_m),
+                raw_rmse_mm=in_mm(tally.rmse_m),
+            ),
+        ],
+        frames=[_object_frame(f, o, depth_bias) for f, o in rows],
     )
 
 
-def _coverage_fields(
+def known_values(
+    source: result.Source, frames: int = 0, **numbers: result.Number
+) -> list[result.Value]:
+    """Values by key, without those that were not measured; a key ends in its unit."""
+    return [
+        result.Value(key=key, value=number, unit=_unit(key), source=source, frames=frames)
+        for key, number in numbers.items()
+        if number is not None
+    ]
+
+
+def _unit(key: str) -> Any:
+    end = key.rsplit("_", 1)[-1]
+    return end if end in ("px", "mm", "m", "deg") else ""
+
+
+def _contour_values(judged: Sequence[ObjectObservation]) -> list[result.Value]:
+    edges = [o.edges for o in judged if o.edges is not None]
+    medians = [e.median_px for e in edges if e.median_px is not None]
+    shifts = [hypot(o.shift.x_px, o.shift.y_px) for o in judged if o.shift is not None]
+    return [
+        *known_values(
+            "contour",
+            len(edges),
+            edge_px=rounded(median(medians)),
+            edge_p90_px=rounded(float(np.percentile(medians, 90))) if medians else None,
+            edge_tail_px=rounded(median([e.p90_px for e in edges])),
+            edge_support=rounded(median([e.support for e in edges])),
+            edge_chance_px=rounded(median([e.chance_px for e in edges])),
+        ),
+        *known_values(
+            "contour",
+            len(shifts),
+            shift_px=rounded(median(shifts)) if edges else None,
+            shift_share=rounded(len(shifts) / len(edges)) if edges else None,
+        ),
+    ]
+
+
+def _residual_values(
+    judged: Sequence[ObjectObservation], depth_bias: float | None
+) -> list[result.Value]:
+    residuals = [o.residual for o in judged if o.residual is not None]
+    return known_values(
+        "depth",
+        len(residuals),
+        depth_mm=in_mm(median([r.median_m for r in residuals])),
+        depth_mad_mm=in_mm(median([r.mad_m for r in residuals])),
+        depth_unscaled_mm=in_mm(median([_unscaled(r, depth_bias) for r in residuals])),
+        distance_m=rounded(median([r.depth_m for r in residuals])),
+    )
+
+
+def _label_values(label: Label | None) -> list[result.Value]:
+    if label is None:
+        return []
+    std_mm = _weakest(label.covariance, 0, 1000)
+    words = label.weak_direction
+    return [
+        *(
+            [result.Value(key="label_std_mm", value=std_mm, unit="mm", source="label", text=words)]
+            if std_mm is not None or words
+            else []
+        ),
+        *known_values("label", label_std_deg=_weakest(label.covariance, 3, 180 / np.pi)),
+    ]
+
+
+def _coverage_values(
     scene: Scene, object_id: int, frames: list[int], up: NDArray[np.float64]
-) -> dict[str, Any]:
+) -> list[result.Value]:
     view = view_directions(scene, object_id, frames, up)
     coverage = None if view is None else measure_coverage(*view)
     if coverage is None:
-        return {}
-    return {
-        "azimuth_span_deg": rounded(coverage.azimuth_span_deg, 1),
-        "elevation_deg": [
-            round(coverage.elevation_min_deg, 1),
-            round(coverage.elevation_max_deg, 1),
-        ],
-        "parallax_deg": rounded(coverage.parallax_deg, 1),
-        "largest_step_deg": rounded(coverage.largest_step_deg, 1),
-    }
-
-
-def view_directions(
-    scene: Scene, object_id: int, frames: Sequence[int], up: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Azimuth and elevation (N,) in degrees from which frames see an object; None without any.
-
-    Azimuth 0 is the direction from the centre of the labelled objects to the camera of the first
-    registered frame, the same for all objects.
-    """
-    T_world_obj = scene.T_world_obj(object_id)
-    cameras = [T for f in frames if (T := scene.T_world_cam(f)) is not None]
-    model = scene.objects.object(object_id).model
-    if T_world_obj is None or not cameras or mesh_problem(scene, model) is not None:
-        return None
-    first = scene.T_world_cam(scene.registered_frames()[0].id)
-    labelled = [T for o in scene.objects.objects if (T := scene.T_world_obj(o.id)) is not None]
-    assert first is not None
-    middle = np.mean([T.t for T in labelled], axis=0)
-    return directions(
-        _centre(scene, object_id, T_world_obj), _positions(cameras), up, first.t - middle
+        return []
+    return known_values(
+        "views",
+        len(frames),
+        azimuth_span_deg=rounded(coverage.azimuth_span_deg, 1),
+        elevation_min_deg=round(coverage.elevation_min_deg, 1),
+        elevation_max_deg=round(coverage.elevation_max_deg, 1),
+        parallax_deg=rounded(coverage.parallax_deg, 1),
+        largest_step_deg=rounded(coverage.largest_step_deg, 1),
     )
 
 
-def _centre(scene: Scene, object_id: int, T_world_obj: SE3) -> NDArray[np.float64]:
-    bounds = np.asarray(scene.mesh(scene.objects.object(object_id).model).bounds)
-    return T_world_obj @ bounds.mean(axis=0)
-
-
-def _positions(poses: Sequence[SE3]) -> NDArray[np.float64]:
-    return np.stack([T.t for T in poses])
-
-
-def _consistency(judged: Sequence[ObjectObservation]) -> Consistency | None:
-    rows = [
-        (o.shift, o.jacobian, o.metres_per_px)
-        for o in judged
-        if o.shift is not None and o.jacobian is not None and o.metres_per_px is not None
-    ]
-    if not rows:
-        return None
-    return fit_consistency(
-        np.array([[s.x_px, s.y_px] for s, _, _ in rows]),
-        np.stack([J for _, J, _ in rows]),
-        np.array([m for _, _, m in rows]),
-    )
-
-
-def _unscaled(residual: sensor_depth.DepthResidual, bias: float | None) -> float | None:
+def _unscaled(residual: DepthResidual, bias: float | None) -> float | None:
     """The residual without the common bias, metres."""
     if bias is None:
         return None
@@ -326,41 +325,16 @@ def _object_frame(
         edge_support=rounded(observation.edges.support) if observation.edges else None,
         edge_chance_px=rounded(observation.edges.chance_px) if observation.edges else None,
         shift_px=[round(shift.x_px, 2), round(shift.y_px, 2)] if shift else None,
-        depth_mm=_mm(observation.residual.median_m) if observation.residual else None,
-        depth_unscaled_mm=_mm(_unscaled(observation.residual, depth_bias))
+        depth_mm=in_mm(observation.residual.median_m) if observation.residual else None,
+        depth_unscaled_mm=in_mm(_unscaled(observation.residual, depth_bias))
         if observation.residual
         else None,
     )
 
 
 def _edge(observation: ObjectObservation) -> float | None:
-    judged = observation.edges is not None and observation.visible_fraction >= _JUDGED_FRACTION
+    judged = observation.edges is not None and observation.visible_fraction >= JUDGED_FRACTION
     return observation.edges.median_px if judged and observation.edges is not None else None
-
-
-def _merged(
-    tallies: Iterable[sensor_depth.ErrorTally | sensor_depth.FiledTally],
-) -> sensor_depth.ErrorTally:
-    total = sensor_depth.ErrorTally()
-    for tally in tallies:
-        total.merge(tally.load())
-    return total
-
-
-def _shown_histogram(tally: sensor_depth.ErrorTally) -> tuple[list[float], list[float]]:
-    """2 mm bins over +-100 mm from the fine histogram; the outermost bins include the rest."""
-    if tally.histogram is None or not tally.measured_pixels:
-        return [], []
-    fine = (
-        -sensor_depth.HISTOGRAM_LIMIT_M
-        + (np.arange(len(tally.histogram)) + 0.5) * sensor_depth.HISTOGRAM_BIN_M
-    )
-    count = round(2 * _SHOWN_LIMIT_M / _SHOWN_BIN_M)
-    index = np.clip(((fine + _SHOWN_LIMIT_M) / _SHOWN_BIN_M).astype(int), 0, count - 1)
-    index[fine < -_SHOWN_LIMIT_M] = 0
-    coarse = np.bincount(index, weights=tally.histogram, minlength=count) / tally.measured_pixels
-    centres = (-_SHOWN_LIMIT_M + (np.arange(count) + 0.5) * _SHOWN_BIN_M) * 1000
-    return [round(float(x), 1) for x in centres], [round(float(x), 6) for x in coarse]
 
 
 def _weakest(covariance: list[float] | None, first: int, unit: float) -> result.Number:
@@ -372,5 +346,6 @@ def _weakest(covariance: list[float] | None, first: int, unit: float) -> result.
     return rounded(unit * np.sqrt(max(largest, 0.0)), 3)
 
 
-def _mm(metres: float | None) -> result.Number:
+def in_mm(metres: float | None) -> result.Number:
+    """The length as the report shows it."""
     return None if metres is None else rounded(1000 * metres, 2)

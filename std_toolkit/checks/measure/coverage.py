@@ -9,7 +9,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.scene import Scene
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
@@ -114,6 +116,37 @@ def measure_coverage(azimuth_deg: Array, elevation_deg: Array) -> Coverage | Non
         float(np.degrees(np.arccos(np.clip(least, -1, 1)))),
         float(inner.max()) if len(inner) else 0.0,
     )
+
+
+def view_directions(
+    scene: Scene, object_id: int, frames: Sequence[int], up: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Azimuth and elevation (N,) in degrees from which frames see an object; None without any.
+
+    Azimuth 0 is the direction from the centre of the labelled objects to the camera of the first
+    registered frame, the same for all objects.
+    """
+    T_world_obj = scene.T_world_obj(object_id)
+    cameras = [T for f in frames if (T := scene.T_world_cam(f)) is not None]
+    model = scene.objects.object(object_id).model
+    if T_world_obj is None or not cameras or mesh_problem(scene, model) is not None:
+        return None
+    first = scene.T_world_cam(scene.registered_frames()[0].id)
+    labelled = [T for o in scene.objects.objects if (T := scene.T_world_obj(o.id)) is not None]
+    assert first is not None
+    middle = np.mean([T.t for T in labelled], axis=0)
+    return directions(
+        _centre(scene, object_id, T_world_obj), _positions(cameras), up, first.t - middle
+    )
+
+
+def _centre(scene: Scene, object_id: int, T_world_obj: SE3) -> NDArray[np.float64]:
+    bounds = np.asarray(scene.mesh(scene.objects.object(object_id).model).bounds)
+    return T_world_obj @ bounds.mean(axis=0)
+
+
+def _positions(poses: Sequence[SE3]) -> NDArray[np.float64]:
+    return np.stack([T.t for T in poses])
 
 
 def _plane_normal(points: Array) -> Array | None:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.measure.alignment import DepthShift, depth_shift
 from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.contours import NOTHING, Contour, LabelCaster, trace_contour
 from std_toolkit.checks.measure.edges import (
@@ -26,9 +25,11 @@ from std_toolkit.checks.measure.edges import (
 from std_toolkit.checks.measure.motion import FiledEquations, MotionEquations, motion_equations
 from std_toolkit.checks.measure.sensor_depth import (
     DepthResidual,
+    DepthShift,
     ErrorTally,
     FiledTally,
     depth_residual,
+    depth_shift,
 )
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.options import CheckOptions

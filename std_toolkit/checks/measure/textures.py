@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 
 from std_toolkit.checks import result
@@ -71,55 +70,24 @@ def with_texture(item: result.ObjectCheck, found: TextureComparison | None) -> r
     """The object's row with the comparison of its texture."""
     if found is None:
         return item
-    return msgspec.structs.replace(
-        item,
-        texture_verdict=found.verdict,
-        texture_score=_number(found.score),
-        texture_rival_score=_number(found.rival_score),
-        texture_frames=found.frames,
-        texture_text=found.text,
+    return item.with_values(
+        [
+            result.Value(
+                key="texture",
+                value=_number(found.score),
+                source="texture",
+                frames=found.frames,
+                text=found.verdict,
+            ),
+            result.Value(
+                key="texture_rival",
+                value=_number(found.rival_score),
+                source="texture",
+                frames=found.frames,
+                text=found.text,
+            ),
+        ]
     )
-
-
-def texture_sentence(item: result.ObjectCheck) -> str:
-    """The finding in words, such as "turned by 180 deg about z fits the texture better"."""
-    if not item.texture_verdict:
-        return ""
-    nan = float("nan")
-    return TextureComparison(item.texture_verdict, None, item.texture_text, nan, nan, 0).sentence()
-
-
-def texture_gate(objects: Sequence[result.ObjectCheck]) -> result.CheckGate:
-    """The gate that fails where the texture fits better after a turn."""
-    measured = [o for o in objects if o.texture_score is not None]
-    turned = [o for o in measured if o.texture_verdict == "turned"]
-    status = "open" if not measured else "fail" if turned else "pass"
-    return result.CheckGate(
-        key="texture",
-        title="labels whose texture fits better after a turn",
-        value=float(len(turned)) if measured else None,
-        limit=0.0,
-        rule="at most",
-        status=status,  # type: ignore[arg-type]
-        detail=", ".join(f"{o.name}: {texture_sentence(o)}" for o in turned),
-        advice="turn the object in the annotator until its texture agrees with the image, refine "
-        "and save it, and run `std-curate propagate` again",
-    )
-
-
-def texture_warnings(objects: Sequence[result.ObjectCheck]) -> list[result.CheckWarning]:
-    """One line per object whose turn neither its silhouette nor a texture determines."""
-    return [
-        result.CheckWarning(
-            severity="low",
-            about=item.name,
-            problem=texture_sentence(item),
-            advice="use a mesh with texture, or declare the symmetry of the model if both poses "
-            "are right",
-        )
-        for item in objects
-        if item.texture_verdict == "ambiguous"
-    ]
 
 
 def with_textures(

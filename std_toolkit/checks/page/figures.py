@@ -219,7 +219,8 @@ def sky_figure(
                 "elevation %{customdata[1]}°<br>%{customdata[2]:.0%} visible<extra></extra>",
             }
         )
-        span = f"{item.azimuth_span_deg:.0f}°" if item.azimuth_span_deg is not None else "–"
+        angle = item.value("azimuth_span_deg")
+        span = f"{angle:.0f}°" if angle is not None else "–"
         notes.append(
             {
                 "text": f"<b>{item.name}</b><br>{len(frames)} views over {span}",

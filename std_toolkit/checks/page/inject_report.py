@@ -39,10 +39,8 @@ def detectability_table(found: Detectability) -> Table:
     )
 
 
-def detectability_blocks(found: Detectability | None) -> list[page.Block]:
-    """The section of the report; empty if no fault was injected."""
-    if found is None:
-        return []
+def detectability_blocks(found: Detectability) -> list[page.Block]:
+    """The section of the report."""
     blocks: list[page.Block] = [
         page.Paragraph(
             "Known faults of growing size were put into the scene in memory, and the gates were "

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from math import hypot
 
 from std_toolkit.checks import result
-from std_toolkit.checks.gates import gates
 from std_toolkit.checks.page import figures, overlay
 from std_toolkit.html import page
 from std_toolkit.html.plots import object_color
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
-from std_toolkit.options import CheckOptions
 
 _MEANINGS = {
     "edge distance": "distance from the contour of the label, along its normal, to the nearest "
@@ -29,33 +27,32 @@ _MEANINGS = {
 }
 
 
-_COLUMNS = (
-    Column(heading="object", numeric=False),
-    Column(heading="verdict", numeric=False),
-    Column(heading="edge distance", unit="px, median", digits=2),
-    Column(heading="p90", unit="px, frames", digits=2),
-    Column(heading="by chance", unit="px", digits=2),
-    Column(heading="shift", unit="px", digits=2),
-    Column(heading="depth residual", unit="mm, ± MAD", signed=True),
-    Column(heading="without bias", unit="mm", signed=True),
-    Column(heading="seems off by", unit="mm"),
-    Column(heading="drift", unit="px", digits=2),
-    Column(heading="drift", unit="mm"),
-    Column(heading="label std", unit="mm"),
-    Column(heading="visible", unit="%, median", factor=100, digits=0),
+# Columns of values, each with its key and the gate on it.
+_VALUES = (
+    (Column(heading="edge distance", unit="px, median", digits=2), "edge_px", "edges"),
+    (Column(heading="p90", unit="px, frames", digits=2), "edge_p90_px", ""),
+    (Column(heading="by chance", unit="px", digits=2), "edge_chance_px", ""),
+    (Column(heading="shift", unit="px", digits=2), "shift_px", "shift"),
+    (Column(heading="depth residual", unit="mm, ± MAD", signed=True), "depth_mm", "depth"),
+    (Column(heading="without bias", unit="mm", signed=True), "depth_unscaled_mm", ""),
+    (Column(heading="seems off by", unit="mm"), "offset_mm", ""),
+    (Column(heading="drift", unit="px", digits=2), "drift_px", "drift"),
+    (Column(heading="drift", unit="mm"), "drift_mm", ""),
+    (Column(heading="label std", unit="mm"), "label_std_mm", "covariance"),
+    (Column(heading="visible", unit="%, median", factor=100, digits=0), "visible_fraction", ""),
 )
+_NAMED = (Column(heading="object", numeric=False), Column(heading="verdict", numeric=False))
 _TEXTURE = Column(heading="texture", numeric=False)
 
 
-def label_blocks(report: result.CheckReport, options: CheckOptions) -> list[page.Block]:
+def label_blocks(report: result.CheckReport) -> list[page.Block]:
     """Table of the objects and figures over frames."""
     if not report.objects:
         return [page.Paragraph("The scene has no objects (`objects.json`).")]
     if any(o.frames_seen for o in report.objects):
-        share = gates.scale_share(report.summary)
-        rows = [_label_row(report, o, share, options) for o in report.objects]
+        columns = (*_NAMED, *(column for column, _, _ in _VALUES), _TEXTURE)
         blocks: list[page.Block] = [
-            Table(columns=(*_COLUMNS, _TEXTURE), rows=rows),
+            Table(columns=columns, rows=[_label_row(report, o) for o in report.objects]),
             page.Terms(_MEANINGS),
         ]
     else:
@@ -63,12 +60,12 @@ def label_blocks(report: result.CheckReport, options: CheckOptions) -> list[page
             Row([name_cell(report, o), Cell(text=o.verdict, tag=o.verdict), Cell(text=o.label)])
             for o in report.objects
         ]
-        columns = (*_COLUMNS[:2], Column(heading="label", numeric=False))
-        blocks = [Table(columns=columns, rows=rows)]
-    return blocks + _label_figures(report, options)
+        blocks = [Table(columns=(*_NAMED, Column(heading="label", numeric=False)), rows=rows)]
+    return blocks + _label_figures(report)
 
 
-def _label_figures(report: result.CheckReport, options: CheckOptions) -> list[page.Block]:
+def _label_figures(report: result.CheckReport) -> list[page.Block]:
+    depth_limit = report.gate("depth").limit
     bias = report.summary.depth_bias
     residual_title = "Depth residual over frames, diffuse objects"
     if bias is not None:
@@ -79,7 +76,7 @@ def _label_figures(report: result.CheckReport, options: CheckOptions) -> list[pa
             lambda f: f.edge_px,
             title="contour to edge",
             unit="px",
-            limits=[options.max_edge_px],
+            limits=[report.gate("edges").limit],
         ),
         "Best shift of the contour over frames": figures.frames_figure(
             report.objects,
@@ -92,7 +89,7 @@ def _label_figures(report: result.CheckReport, options: CheckOptions) -> list[pa
             lambda f: f.depth_mm if bias is None else f.depth_unscaled_mm,
             title="label minus sensor",
             unit="mm",
-            limits=[-options.max_depth_mm, options.max_depth_mm],
+            limits=[-depth_limit, depth_limit],
             from_zero=False,
         ),
         "Visible fraction over frames": figures.visibility_figure(report.objects),
@@ -104,32 +101,18 @@ def _label_figures(report: result.CheckReport, options: CheckOptions) -> list[pa
     return blocks
 
 
-def _label_row(
-    report: result.CheckReport, item: result.ObjectCheck, share: float, options: CheckOptions
-) -> Row:
-    spread = "" if item.depth_mad_mm is None else f"± {item.depth_mad_mm:.1f}"
-    # Value, the value compared with the limit, the limit, and the text after the value.
-    figures_of: list[tuple[float | None, float | None, float, str]] = [
-        (item.edge_px, item.edge_px, options.max_edge_px, ""),
-        (item.edge_p90_px, None, 0, ""),
-        (item.edge_chance_px, None, 0, ""),
-        (item.shift_px, gates.shift_px(item, options), options.max_shift_px, ""),
-        (item.depth_mm, gates.depth_excess_mm(item, share), options.max_depth_mm, spread),
-        (item.depth_unscaled_mm, None, 0, ""),
-        (item.offset_norm_mm, None, 0, ""),
-        (item.drift_px, item.drift_px, options.max_drift_px, ""),
-        (item.drift_mm, None, 0, ""),
-        (item.label_std_mm, item.label_std_mm, options.max_label_std_mm, ""),
-        (item.visible_fraction, None, 0, ""),
-    ]
+def _label_row(report: result.CheckReport, item: result.ObjectCheck) -> Row:
+    bad = {f.gate for f in item.gates if f.verdict == "bad"}
     cells = [name_cell(report, item), Cell(text=item.verdict, tag=item.verdict)]
-    for column, (value, judged, limit, behind) in zip(_COLUMNS[2:], figures_of, strict=True):
-        text = f"{column.text(value) or NONE} {behind}".rstrip()
-        over = judged is not None and judged > limit
-        cells.append(Cell(text=text, mark="bad" if over else ""))
-    turned = item.texture_verdict == "turned"
-    shown = item.texture_text if turned else item.texture_verdict
-    cells.append(Cell(text=shown or NONE, mark="bad" if turned else ""))
+    for column, name, gate in _VALUES:
+        text = column.text(item.value(name)) or NONE
+        mad = item.value("depth_mad_mm")
+        if name == "depth_mm" and mad is not None:
+            text += f" ± {mad:.1f}"
+        cells.append(Cell(text=text, mark="bad" if gate in bad else ""))
+    texture = item.text("texture")
+    shown = item.text("texture_rival") if texture == "turned" else texture
+    cells.append(Cell(text=shown or NONE, mark="bad" if "texture" in bad else ""))
     return Row(cells)
 
 
@@ -146,7 +129,7 @@ def overlay_blocks(
     ]
     if not whole:
         return []
-    labelled = [o for o in report.objects if o.label in ("propagated", "refined")]
+    labelled = [o for o in report.objects if o.is_labelled]
     about = (
         "Outlines of the labels over the image; the outline of a correct label follows the edge of "
         "the object. Click an image to enlarge it; press o to hide the outlines."

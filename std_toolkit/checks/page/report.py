@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
+
 from std_toolkit import __version__
 from std_toolkit.checks import result
 from std_toolkit.checks.page import figures, inject_report, label_sections, overlay
-from std_toolkit.checks.page.scale_section import scale_fact, scale_table
 from std_toolkit.html import page
 from std_toolkit.html.plots import MATERIAL_COLORS
 from std_toolkit.html.table import MINUS, NONE, Cell, Column, Row, Table, number
-from std_toolkit.options import CheckOptions
+from std_toolkit.scene.model import ScaleReport
+from std_toolkit.scene.scale_model import differences
 
 
 @dataclass(frozen=True)
@@ -31,9 +33,17 @@ class PageParts:
 
 
 _TEXT = Column(heading="", numeric=False)
+_SCALE_COLUMNS = (
+    Column(heading="factor", unit="m per unit", digits=5),
+    Column(heading="against the poses", unit="%", factor=100, digits=2, signed=True),
+    Column(heading="spread", unit="%, IQR", factor=100, digits=2),
+    Column(heading="standard error", unit="%", factor=100, digits=3),
+    Column(heading="deviation", unit="%", factor=100, digits=2),
+    Column(heading="measurements", digits=0),
+)
 
 
-def render_page(report: result.CheckReport, parts: PageParts, options: CheckOptions) -> str:
+def render_page(report: result.CheckReport, parts: PageParts) -> str:
     """The report as HTML."""
     word, _, rest = report.verdict.partition(": ")
     return page.Page(
@@ -46,16 +56,18 @@ def render_page(report: result.CheckReport, parts: PageParts, options: CheckOpti
         sections=[
             page.Section("gates", "Gates", [_gates(report)]),
             page.Section("warnings", "Warnings", [_warnings(report)]),
-            page.Section("labels", "Labels", label_sections.label_blocks(report, options)),
+            page.Section("labels", "Labels", label_sections.label_blocks(report)),
             page.Section(
                 "inject",
                 "Smallest faults caught",
-                inject_report.detectability_blocks(report.detectability),
+                inject_report.detectability_blocks(report.detectability)
+                if report.detectability
+                else [],
             ),
             page.Section(
                 "overlays", "Overlays", label_sections.overlay_blocks(report, parts.pictures)
             ),
-            page.Section("scene", "Scene", _scene(report, parts, options)),
+            page.Section("scene", "Scene", _scene(report, parts)),
             page.Section("coverage", "Coverage", _coverage(report, parts)),
             page.Section("depth", "Sensor depth", _depth(report, parts)),
             page.Section(
@@ -71,7 +83,7 @@ def render_page(report: result.CheckReport, parts: PageParts, options: CheckOpti
 
 def _facts(report: result.CheckReport) -> list[page.Fact]:
     s = report.summary
-    edges = sorted(o.edge_px for o in report.objects if o.edge_px is not None)
+    edges = sorted(e for o in report.objects if (e := o.value("edge_px")) is not None)
     gates = [g for g in report.gates if g.status != "open"]
     reprojection = number(s.reprojection_px, 2)
     return [
@@ -84,7 +96,7 @@ def _facts(report: result.CheckReport) -> list[page.Fact]:
         )
         if edges
         else page.Fact("contour to edge", NONE),
-        page.Fact("scale from", *scale_fact(report)),
+        page.Fact("scale from", *_scale_fact(report)),
     ]
 
 
@@ -122,7 +134,7 @@ def _warnings(report: result.CheckReport) -> page.Block:
     return Table(columns=[_TEXT, *(Column(heading=h, numeric=False) for h in heads)], rows=rows)
 
 
-def _scene(report: result.CheckReport, parts: PageParts, options: CheckOptions) -> list[page.Block]:
+def _scene(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
     blocks: list[page.Block] = []
     if parts.view3d is not None:
         blocks += [
@@ -132,13 +144,67 @@ def _scene(report: result.CheckReport, parts: PageParts, options: CheckOptions) 
             ),
             page.Plot("scene", parts.view3d),
         ]
-    sources = scale_table(report)
+    sources = _scale_table(report)
     if sources is not None:
         blocks.append(sources)
-    figure = figures.registration_figure(report, limit_px=options.max_reprojection_px)
+    figure = figures.registration_figure(report, limit_px=report.gate("reprojection").limit)
     if figure is not None:
         blocks += [page.Heading("Camera poses over frames"), page.Plot("registration", figure)]
     return blocks
+
+
+def _scale_table(report: result.CheckReport) -> Table | None:
+    """All scale sources, and the sizes of the objects measured by the check; None without any."""
+    scale, sizes = report.summary.scale, report.summary.sizes
+    if scale is None and sizes is not None:
+        scale = ScaleReport(unit="metre", chosen="given", factor=1.0)
+    if scale is None or not (scale.estimates or sizes):
+        return None
+    applied = scale.applied_factor
+    estimates = list(scale.estimates)
+    if sizes is not None:
+        estimates.append(msgspec.structs.replace(sizes, factor=applied * sizes.factor))
+    used = {e.source for e in scale.used()}
+    rows = []
+    for e in estimates:
+        values = (e.factor, e.factor / applied - 1, e.spread, e.standard_error, e.sigma, e.count)
+        note = "used" if e.source in used else "check" if e is estimates[-1] and sizes else ""
+        cells = [c.cell(v, missing=NONE) for c, v in zip(_SCALE_COLUMNS, values, strict=True)]
+        rows.append(Row([Cell(text=e.source, note=note), *cells, Cell(text=e.note)]))
+    mean = ", the mean of the used sources, weighted by inverse variance" if len(used) > 1 else ""
+    notes = [
+        f"The camera poses have {applied:.6g} m per unit ({scale.chosen}), with a deviation of "
+        f"{100 * scale.applied_sigma:.2f} %{mean}. Deviations include the systematic error of the "
+        "kind of source.",
+        *(f"{d}." for d in differences(scale.estimates)),
+    ]
+    if sizes is not None:
+        notes.append(
+            "sizes: the labelled objects' CAD sizes against the camera poses, measured here."
+        )
+    return Table(
+        title="Sources of metric scale",
+        notes=notes,
+        columns=[
+            Column(heading="source", numeric=False),
+            *_SCALE_COLUMNS,
+            Column(heading="", numeric=False),
+        ],
+        rows=rows,
+    )
+
+
+def _scale_fact(report: result.CheckReport) -> tuple[str, str]:
+    """Source of the metric scale, and the largest difference of its sources."""
+    scale = report.summary.scale
+    if scale is None:
+        return "given" if report.summary.registered else NONE, ""
+    name = "unknown" if scale.unit == "unknown" else scale.chosen
+    if len(scale.estimates) < 2:
+        return name, f"+- {100 * scale.applied_sigma:.2f} %" if scale.unit == "metre" else ""
+    worst = differences(scale.estimates)[0]
+    text = f"{len(scale.estimates)} sources, differ by {100 * worst.relative:.2f} %"
+    return name, f"{text} ({worst.sigma:.1f} standard deviations)"
 
 
 def _coverage(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
@@ -154,15 +220,15 @@ def _coverage(report: result.CheckReport, parts: PageParts) -> list[page.Block]:
     ]
     rows = []
     for o in report.objects:
-        if o.azimuth_span_deg is None:
+        span = o.value("azimuth_span_deg")
+        if span is None:
             continue
-        low, high = o.elevation_deg or (None, None)
-        elevation = f"{number(low, 0)} to {number(high, 0)}" if o.elevation_deg else NONE
+        low, high = o.value("elevation_min_deg"), o.value("elevation_max_deg")
         cells = [
             label_sections.name_cell(report, o),
-            *_cells(columns[1:3], (o.frames_seen, o.azimuth_span_deg)),
-            Cell(text=elevation),
-            *_cells(columns[4:], (o.parallax_deg, o.largest_step_deg)),
+            *_cells(columns[1:3], (o.frames_seen, span)),
+            Cell(text=f"{number(low, 0)} to {number(high, 0)}"),
+            *_cells(columns[4:], (o.value("parallax_deg"), o.value("largest_step_deg"))),
         ]
         rows.append(Row(cells))
     return [

@@ -158,7 +158,7 @@ def test_the_check_passes(followed) -> None:
     assert report.summary.truth_frames == 6
     opaque = [o for o in report.objects if o.material != "transparent"]
     assert len(opaque) == 5
-    assert max(o.edge_px for o in opaque) < 0.6
+    assert max(o.value("edge_px") for o in opaque) < 0.6
     assert values["shift"] < 0.5
     # The sensor of the test reads 1 % too far; the bias is that of labels minus sensor.
     assert report.summary.depth_bias == pytest.approx(-0.01, abs=0.002)

@@ -110,6 +110,13 @@ class Study:
         return Outcome("fail" if failed else "warn" if told else "pass", "; ".join(words))
 
     def report(self, case: FaultCase) -> CheckReport:
+        """The report on the scene with a fault."""
+        return self._report(*self.measured(case), sizes=case.sizes)
+
+    def measured(
+        self, case: FaultCase
+    ) -> tuple[Scene, list[FrameObservation], Mapping[int, object]]:
+        """The scene, the frames and the comparisons of textures that the judge reads."""
         caster = LabelCaster.of_scene(case.scene)
         observed = []
         for base, frame in zip(self.base, self.frames, strict=True):
@@ -125,7 +132,7 @@ class Study:
             textures = {**textures, **again}
         # The label of an object that moved is right in the other frames.
         scene = case.scene if case.frames is None or case.objects is None else self.scene
-        return self._report(scene, observed, textures, sizes=case.sizes)
+        return scene, observed, textures
 
     def _report(
         self,

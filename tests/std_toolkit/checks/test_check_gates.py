@@ -2,46 +2,71 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import pytest
 
-from std_toolkit.checks.gates.gates import (
-    evaluate_gates,
-    evaluate_object,
-    is_uninformative,
-    scale_share,
+from std_toolkit.checks.gates.contour import is_uninformative
+from std_toolkit.checks.gates.depth import scale_share
+from std_toolkit.checks.gates.gate import Measured
+from std_toolkit.checks.gates.judge import judge_rows
+from std_toolkit.checks.result import (
+    CheckGate,
+    CheckReport,
+    FrameCheck,
+    GateFinding,
+    ObjectCheck,
+    SceneSummary,
+    Value,
 )
-from std_toolkit.checks.gates.report_warnings import find_warnings
-from std_toolkit.checks.result import CheckGate, FrameCheck, ObjectCheck, SceneSummary
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 OPTIONS = CheckOptions()
-GOOD = ObjectCheck(
-    object=1,
-    name="mug",
-    model="mug",
-    category="mug",
-    material="diffuse",
-    label="refined",
-    frames_seen=20,
-    visible_fraction=0.9,
-    edge_px=0.5,
-    edge_support=0.9,
-    edge_chance_px=4.0,
-    shift_px=0.4,
-    shift_share=0.9,
-    depth_mm=2.0,
-    depth_mad_mm=1.0,
-    distance_m=0.7,
-    drift_px=0.4,
-    drift_frames=18,
-    label_std_mm=1.0,
-    parallax_deg=80,
-)
+IDENTITY = {
+    "object": 1,
+    "name": "mug",
+    "model": "mug",
+    "category": "mug",
+    "material": "diffuse",
+    "label": "refined",
+    "frames_seen": 20,
+}
+VALUES = {
+    "visible_fraction": 0.9,
+    "edge_px": 0.5,
+    "edge_support": 0.9,
+    "edge_chance_px": 4.0,
+    "shift_px": 0.4,
+    "shift_share": 0.9,
+    "depth_mm": 2.0,
+    "depth_mad_mm": 1.0,
+    "distance_m": 0.7,
+    "drift_px": 0.4,
+    "label_std_mm": 1.0,
+    "parallax_deg": 80,
+}
+
+
+def mug(**change: Any) -> ObjectCheck:
+    """A good object with other fields or values; None takes a value away."""
+    fields = {k: change.pop(k, v) for k, v in IDENTITY.items()}
+    words = {
+        "label_std_mm": change.pop("weak_direction", ""),
+        "confirmed": "yes",
+        "texture": change.pop("texture_verdict", ""),
+    }
+    values = [
+        Value(key=k, value=v, source="contour", frames=18, text=words.get(k, ""))
+        for k, v in (VALUES | change).items()
+        if v is not None
+    ]
+    return ObjectCheck(**fields, values=values)
+
+
+GOOD = mug()
 SUMMARY = SceneSummary(
     frames=20,
     registered=20,
@@ -55,9 +80,20 @@ SUMMARY = SceneSummary(
 FRAMES = [FrameCheck(frame=i, name=f"{i:06d}", status="registered") for i in range(20)]
 
 
+def judged(
+    *items: ObjectCheck,
+    summary: SceneSummary = SUMMARY,
+    frames: list[FrameCheck] = FRAMES,
+) -> CheckReport:
+    return judge_rows(Measured(summary=summary, objects=items, frames=frames, options=OPTIONS))
+
+
 def gates(item: ObjectCheck = GOOD, summary: SceneSummary = SUMMARY) -> dict[str, CheckGate]:
-    found = evaluate_gates(summary, [item], FRAMES, None, OPTIONS)
-    return {g.key: g for g in found}
+    return {g.key: g for g in judged(item, summary=summary).gates}
+
+
+def verdict(item: ObjectCheck) -> str:
+    return judged(item).objects[0].verdict
 
 
 def scale(difference: float, *, deviation: float = 0.001) -> ScaleReport:
@@ -73,7 +109,7 @@ def scale(difference: float, *, deviation: float = 0.001) -> ScaleReport:
 
 def test_a_good_scene_fails_nothing() -> None:
     assert [g.key for g in gates().values() if g.status == "fail"] == []
-    assert evaluate_object(GOOD, 0.0, OPTIONS).verdict == "good"
+    assert verdict(GOOD) == "good"
 
 
 @pytest.mark.parametrize(
@@ -90,13 +126,13 @@ def test_a_good_scene_fails_nothing() -> None:
     ],
 )
 def test_a_bad_label_fails_its_gate(change: dict[str, object], key: str) -> None:
-    item = msgspec.structs.replace(GOOD, **change)
+    item = mug(**change)
     failed = {g.key: g for g in gates(item).values() if g.status == "fail"}
     assert set(failed) == {key}
     assert failed[key].advice
     assert "mug" in failed[key].detail
     if key in ("edges", "shift", "depth", "drift", "covariance"):
-        assert evaluate_object(item, 0.0, OPTIONS).verdict == "bad"
+        assert verdict(item) == "bad"
 
 
 @pytest.mark.parametrize(
@@ -114,19 +150,16 @@ def test_bad_camera_poses_fail_their_gate(change: dict[str, object], key: str) -
 
 
 def test_the_limit_itself_passes() -> None:
-    item = msgspec.structs.replace(GOOD, edge_px=3.0, edge_chance_px=9.0, depth_mm=5.0)
+    item = mug(edge_px=3.0, edge_chance_px=9.0, depth_mm=5.0)
     summary = msgspec.structs.replace(SUMMARY, registered=18, scale=scale(0.005))
-    found = evaluate_gates(summary, [item], FRAMES, None, OPTIONS)
-    assert all(g.status != "fail" for g in found)
+    assert judged(item, summary=summary).failed_gates() == []
 
 
 def test_glass_without_edges_warns_but_does_not_fail() -> None:
-    glass = msgspec.structs.replace(
-        GOOD, material="transparent", edge_support=0.1, depth_mm=None, distance_m=None
-    )
+    glass = mug(material="transparent", edge_support=0.1, depth_mm=None, distance_m=None)
     assert all(g.status != "fail" for g in gates(glass).values())
-    assert evaluate_object(glass, 0.0, OPTIONS).verdict == "doubtful"
-    warnings = find_warnings(SUMMARY, [], [glass], FRAMES, [], OPTIONS)
+    assert verdict(glass) == "doubtful"
+    warnings = judged(glass).warnings
     assert any("weakly supports" in w.problem for w in warnings)
 
 
@@ -159,7 +192,7 @@ def test_the_scale_gate_compares_in_deviations(
 
 
 def test_depth_gate_leaves_out_what_the_scale_explains() -> None:
-    item = msgspec.structs.replace(GOOD, depth_mm=10.0)
+    item = mug(depth_mm=10.0)
     assert gates(item)["depth"].status == "fail"
     # 1.5 % of 0.7 m are 10.5 mm: a sensor's bias.
     biased = msgspec.structs.replace(SUMMARY, depth_bias=0.015)
@@ -170,18 +203,16 @@ def test_depth_gate_leaves_out_what_the_scale_explains() -> None:
 
 
 def test_warnings_are_ranked_and_failed_gates_lead() -> None:
-    item = msgspec.structs.replace(
-        GOOD, depth_mm=9.0, offset_norm_mm=4.0, weak_direction="depth is weak", parallax_deg=12
-    )
+    item = mug(depth_mm=9.0, offset_mm=4.0, weak_direction="depth is weak", parallax_deg=12)
     frames = [
         *FRAMES[:10],
         FrameCheck(frame=10, name="x", status="registered", problem="truncated"),
         FrameCheck(frame=11, name="y", status="unregistered"),
         FrameCheck(frame=12, name="z", status="registered", truth="stale"),
     ]
-    failed = [g for g in gates(item).values() if g.status == "fail"]
-    found = find_warnings(SUMMARY, failed, [item], frames, [], OPTIONS)
-    assert found[0].gate == "depth" and found[0].about == "mug"
+    found = judged(item, frames=frames).warnings
+    assert [w.gate for w in found][:3] == ["depth", "frames", ""]
+    assert found[0].about == "mug"
     order = [{"high": 0, "medium": 1, "low": 2}[w.severity] for w in found]
     assert order == sorted(order)
     text = " ".join(w.problem for w in found)
@@ -216,7 +247,7 @@ def test_metres_from_depth_alone_are_warned_about() -> None:
         (None, False),
     ):
         summary = msgspec.structs.replace(SUMMARY, scale=report)
-        found = find_warnings(summary, [], [], FRAMES, [], OPTIONS)
+        found = judged(summary=summary).warnings
         assert any("--refine-scale" in w.advice for w in found) == told
 
 
@@ -226,8 +257,7 @@ def test_metres_from_depth_alone_are_warned_about() -> None:
 def test_an_outline_must_lie_well_below_chance(
     edge_px: float, chance_px: float, uninformative: bool
 ) -> None:
-    item = SimpleNamespace(edge_px=edge_px, edge_chance_px=chance_px)
-    assert is_uninformative(item) is uninformative
+    assert is_uninformative(mug(edge_px=edge_px, edge_chance_px=chance_px)) is uninformative
 
 
 @pytest.mark.parametrize(("count", "shown"), [(1, 1), (6, 6), (8, 6)])
@@ -236,8 +266,39 @@ def test_frames_that_could_not_be_checked_are_named(count: int, shown: int) -> N
     frames = [msgspec.structs.replace(f, problem="damaged") for f in FRAMES[:count]]
     for looked_at in (0, 20):
         summary = msgspec.structs.replace(SUMMARY, looked_at=looked_at)
-        found = {g.key: g for g in evaluate_gates(summary, [GOOD], frames, None, OPTIONS)}
-        assert (found["frames"].status, found["frames"].value) == ("fail", count)
+        gate = judged(GOOD, summary=summary, frames=frames).gate("frames")
+        assert (gate.status, gate.value) == ("fail", count)
         names = ", ".join(f.name for f in frames[:shown])
         more = f" and {count - shown} more" if count > shown else ""
-        assert found["frames"].detail == names + more
+        assert gate.detail == names + more
+
+
+def finding(item: ObjectCheck, gate: str) -> GateFinding:
+    (found,) = (f for f in judged(item).objects[0].gates if f.gate == gate)
+    return found
+
+
+@pytest.mark.parametrize(("motion_mm", "fails"), [(1.0, False), (4.5, True)])
+def test_pixels_count_where_the_motion_is_not_small(motion_mm: float, fails: bool) -> None:
+    item = mug(edge_px=5.0, edge_chance_px=20.0, motion_mm=motion_mm, motion_deg=0.5, confirmed=1.0)
+    gate = gates(item)["edges"]
+    assert (gate.status, gate.value) == (("fail", 5.0) if fails else ("pass", 3.0))
+    assert bool(finding(item, "edges").exempt) != fails
+    assert verdict(item) == ("bad" if fails else "good")
+
+
+def test_a_mesh_of_another_shape_is_excused_with_its_reason() -> None:
+    item = mug(motion_mm=6.0, motion_deg=0.5, confirmed=1.0, texture=0.5, texture_verdict="fits")
+    assert gates(item)["motion"].value == 0
+    assert "another shape" in finding(item, "motion").exempt
+    assert any("another shape" in w.problem for w in judged(item).warnings)
+    plain = mug(motion_mm=6.0, motion_deg=0.5, confirmed=1.0)
+    assert gates(plain)["motion"].status == "fail" and not finding(plain, "motion").exempt
+
+
+def test_glass_is_exempt_from_evidence_and_stays_doubtful() -> None:
+    glass = mug(material="transparent", edge_support=0.1)
+    found = finding(glass, "evidence")
+    assert (found.value, found.verdict) == (1.0, "doubtful")
+    assert "glass" in found.exempt
+    assert gates(glass)["evidence"].value == 0

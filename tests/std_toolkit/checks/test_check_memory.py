@@ -55,7 +55,7 @@ def test_some_numbers_are_kept_of_a_frame(
     monkeypatch.setattr(check_step, "judge_scene", watched)
     jobs = JobOptions(engine=engine, workers=2, progress=False)  # type: ignore[arg-type]
     report = check_step.run_check(make_scene(Toy(frames=4)), jobs=jobs)
-    assert report.objects[0].motion_mm is not None and report.materials
+    assert report.objects[0].value("motion_mm") is not None and report.materials
     assert all(o.motion is not None for f in kept for o in f.objects.values())
     assert max(array_bytes(f) for f in kept) < 500
 

@@ -70,7 +70,7 @@ def check_frame(data: Path, root: Path, index: int, poses: str) -> dict[str, Obj
         scene, CheckOptions(overlay_frames=0), JobOptions(engine="serial", progress=False)
     )
     assert not report.passed
-    assert all(o.texture_verdict != "turned" for o in report.objects)
+    assert all(o.text("texture") != "turned" for o in report.objects)
     return {o.name: o for o in report.objects}
 
 
@@ -83,8 +83,8 @@ def test_labels_that_fit_the_depth_but_miss_the_image_are_told(
     rows = check_frame(test_data, tmp_path / "0", 0, "poses_refined")
     assert rows["004_sugar_box"].verdict == "good"
     assert rows["003_cracker_box"].verdict == "bad"
-    assert abs(rows["004_sugar_box"].depth_mm or 99) < 2
-    assert all(abs(o.depth_mm or 99) < 5 for o in rows.values())
+    assert abs(rows["004_sugar_box"].value("depth_mm") or 99) < 2
+    assert all(abs(o.value("depth_mm") or 99) < 5 for o in rows.values())
     rows = check_frame(test_data, tmp_path / "3", 3, "poses_refined")
     assert rows["007_tuna_fish_can"].verdict == "good"
     assert rows["036_wood_block"].verdict == "bad"
@@ -95,6 +95,6 @@ def test_labels_that_fit_the_depth_but_miss_the_image_are_told(
 @pytest.mark.real
 def test_first_guesses_fail_by_depth(test_data: Path, tmp_path: Path) -> None:
     rows = check_frame(test_data, tmp_path / "0", 0, "poses")
-    off = [o.name for o in rows.values() if abs(o.depth_mm or 0) > 5]
+    off = [o.name for o in rows.values() if abs(o.value("depth_mm") or 0) > 5]
     assert len(off) == 5
     assert rows["003_cracker_box"].verdict == "bad"

@@ -10,18 +10,19 @@ import pytest
 from toy_balls import Toy
 
 from std_toolkit.checks.check_step import run_check
-from std_toolkit.checks.gates.fault_gates import fault_gates
-from std_toolkit.checks.gates.frame_faults import FrameFaults, find_frame_faults
-from std_toolkit.checks.gates.judge import judge_scene
+from std_toolkit.checks.gates.frames import FrameFaults, find_frame_faults
+from std_toolkit.checks.gates.gate import Measured
+from std_toolkit.checks.gates.judge import judge_rows, judge_scene
 from std_toolkit.checks.inject.faults import Fault, apply_fault
-from std_toolkit.checks.measure.alignment import DepthShift, common_depth_shift
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame, open_for_work
+from std_toolkit.checks.measure.sensor_depth import DepthShift, common_depth_shift
 from std_toolkit.checks.result import (
-    CheckGate,
+    CheckReport,
     FrameCheck,
     ObjectCheck,
     ObjectFrameCheck,
     SceneSummary,
+    Value,
 )
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
@@ -57,7 +58,11 @@ def make_object(object_id: int, states: list[State]) -> ObjectCheck:
         category="other",
         material="diffuse",
         label="propagated",
-        verdict="good",
+        frames_seen=len(rows),
+        values=[
+            Value(key=key, value=value, source="contour")
+            for key, value in (("edge_px", 0.5), ("edge_support", 0.9), ("edge_chance_px", 1.8))
+        ],
         frames=rows,
     )
 
@@ -70,11 +75,12 @@ def find(*objects: ObjectCheck, problem: str = "") -> FrameFaults:
     return find_frame_faults(objects, rows, OPTIONS)
 
 
-def gates_of(faults: FrameFaults) -> dict[str, CheckGate]:
+def judged(faults: FrameFaults) -> CheckReport:
     summary = SceneSummary(
         frames=8, registered=8, looked_at=8, objects=2, labelled=2, depth_frames=0, truth_frames=0
     )
-    return {g.key: g for g in fault_gates(faults, summary, OPTIONS)}
+    rows = Measured(summary=summary, objects=faults.objects, frames=faults.frames, options=OPTIONS)
+    return judge_rows(rows)
 
 
 def test_labels_that_fit_have_no_fault() -> None:
@@ -82,7 +88,7 @@ def test_labels_that_fit_have_no_fault() -> None:
     assert not found.camera and not found.moved
     assert {f.fault for f in found.frames} == {""}
     assert {f.fault for o in found.objects for f in o.frames} == {""}
-    assert {g.status for k, g in gates_of(found).items() if k != "alignment"} == {"pass"}
+    assert {judged(found).gate(k).status for k in ("camera", "moved", "unfit")} == {"pass"}
 
 
 def test_an_object_off_in_one_frame_accuses_no_camera() -> None:
@@ -98,7 +104,7 @@ def test_all_objects_off_in_one_frame_accuse_the_camera(state: State) -> None:
     found = find(*(make_object(i, off) for i in (1, 2, 3)), problem="cannot be read")
     assert found.camera == [3] and not found.moved
     assert [f.fault for f in found.frames] == ["unreadable", "", "", "camera pose", "", "", "", ""]
-    gate = gates_of(found)["camera"]
+    gate = judged(found).gate("camera")
     assert gate.status == "fail" and gate.value == 1 and gate.detail == "003"
 
 
@@ -121,8 +127,10 @@ def test_an_object_that_moved_is_found(
     assert [f.frame for f in found.objects[0].frames if f.fault == "moved"] == [
         i for i, s in enumerate(states) if s in (BAD, SHIFTED)
     ]
-    assert [o.verdict for o in found.objects] == ["bad", "good"]
-    gate = gates_of(found)["moved"]
+    report = judged(found)
+    assert {f.gate for f in report.objects[0].gates if f.verdict == "bad"} == {"moved"}
+    assert [o.verdict for o in report.objects] == ["bad", "good"]
+    gate = report.gate("moved")
     assert gate.status == "fail" and f"between frames {between[0][0]:03d} and" in gate.detail
 
 
@@ -143,10 +151,10 @@ def test_a_hand_in_front_of_an_object_is_no_motion() -> None:
 
 def test_a_label_that_often_does_not_fit_fails() -> None:
     found = find(make_object(1, [GOOD, GOOD, BAD] * 4), make_object(2, [GOOD] * 12))
-    gate = gates_of(found)["unfit"]
+    gate = judged(found).gate("unfit")
     assert (gate.status, gate.value, gate.detail) == ("fail", 33.3, "o1")
     found = find(make_object(1, [GOOD] * 5 + [BAD]), make_object(2, [GOOD] * 6))
-    assert gates_of(found)["unfit"].status == "pass"
+    assert judged(found).gate("unfit").status == "pass"
 
 
 def test_the_common_shift_of_depth_is_robust() -> None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from toy_balls import Toy
 
-from std_toolkit.checks.gates.report_warnings import find_warnings
+from std_toolkit.checks.gates.gate import Measured
+from std_toolkit.checks.gates.judge import judge_rows
 from std_toolkit.checks.measure.object_sizes import (
     ObjectSize,
     combine_sizes,
@@ -33,8 +34,8 @@ def size(name: str, factor: float, error: float = 0.001) -> ObjectSize:
 
 def warnings(sizes: ScaleEstimate | None, scale: ScaleReport | None = None) -> list[CheckWarning]:
     summary = msgspec.structs.replace(SUMMARY, sizes=sizes, scale=scale)
-    found = find_warnings(summary, [], [], [], [], CheckOptions())
-    return [w for w in found if "sizes of the objects ask" in w.problem]
+    measured = Measured(summary=summary, objects=[], frames=[], options=CheckOptions())
+    return [w for w in judge_rows(measured).warnings if "sizes of the objects ask" in w.problem]
 
 
 def scaled(scene: Scene, factor: float) -> Scene:

@@ -16,7 +16,8 @@ from std_toolkit.importers import ImportRequest, import_recording
 from std_toolkit.importers.import_step import write_recording
 from std_toolkit.importers.importer import IMPORTERS
 from std_toolkit.io.images import write_color, write_depth_png16
-from std_toolkit.options import KnownCameras
+from std_toolkit.options import KnownCameras, PoseOptions
+from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import CameraModel, Scene
 
 FISHEYE = (0.0313, 0.0052, 0.00066, 0.0001)
@@ -111,6 +112,18 @@ def test_a_fisheye_of_a_file_of_camera_poses(tmp_path: Path) -> None:
     assert recording.cameras == {"color": LENS}
     scene = write_recording(recording, tmp_path / "scene", name="lens")
     check_images(scene, LENS.without_distortion())
+
+
+def test_a_lens_that_only_the_file_of_poses_states_is_no_secret(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene = imported(record(tmp_path, LENS), intrinsics="80,80,48,35")
+    rows = [{"file_path": f"{i}.png", "transform_matrix": np.eye(4).tolist()} for i in range(2)]
+    cameras = filed(tmp_path, {"is_fisheye": True, **NERF, **NAMED, "frames": rows})
+    known = KnownCameras(cameras=Path(cameras), cameras_unit="m")
+    with pytest.raises(ToolkitError, match="features"), caplog.at_level("INFO", "std_toolkit"):
+        estimate_poses(scene, PoseOptions(known=known))
+    assert "lens.json states a fisheye lens" in caplog.text
 
 
 @pytest.mark.parametrize("camera", [LENS, RATIONAL], ids=["fisheye", "rational"])

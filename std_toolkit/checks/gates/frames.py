@@ -3,19 +3,29 @@
 A label fits in a frame if clearly more of its contour lies on image edges than by chance, about as
 much as in its other frames, and no clear shift contradicts it. An object whose label fits in enough
 frames is a witness: where it does not fit, the camera pose is wrong if most other witnesses do not
-fit either; otherwise the object moved.
+fit either; otherwise the object moved. The gates of this family count what was found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import hypot
 
 import msgspec
 import numpy as np
 
-from std_toolkit.checks.result import FrameCheck, ObjectCheck, ObjectFrameCheck
+from std_toolkit.checks.gates.gate import (
+    Measured,
+    Moved,
+    ObjectGate,
+    Reading,
+    Readings,
+    SceneGate,
+    listed,
+    no_exemption,
+)
+from std_toolkit.checks.result import CheckWarning, FrameCheck, ObjectCheck, ObjectFrameCheck
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
@@ -37,23 +47,8 @@ _FEWEST_WITNESSES = 2
 _FEWEST_MOVED = 3
 _SHARE_MOVED = 0.06
 _CONTRADICTION = 0.2
-
-
-@dataclass(frozen=True)
-class Motion:
-    """An object that moved during the recording.
-
-    Attributes:
-        object, name: of the object.
-        between: pairs of frame ids between which it moved: into and out of the frames in which
-            the label does not fit.
-        frames: ids of these frames.
-    """
-
-    object: int
-    name: str
-    between: tuple[tuple[int, int], ...]
-    frames: tuple[int, ...]
+# Names of frames in a row of the report.
+_MOST_NAMES = 4
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,7 @@ class FrameFaults:
     objects: list[ObjectCheck]
     frames: list[FrameCheck]
     camera: list[int]
-    moved: list[Motion]
+    moved: list[Moved]
     unfit: dict[str, float]
 
 
@@ -101,7 +96,6 @@ def find_frame_faults(
         [
             msgspec.structs.replace(
                 o,
-                verdict="bad" if any(m.object == o.object for m in moved) else o.verdict,
                 frames=[
                     msgspec.structs.replace(
                         f,
@@ -165,7 +159,7 @@ def _unfit(states: dict[int, bool], camera: frozenset[int]) -> float:
     return off / len(known) if off > 1 else 0.0
 
 
-def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) -> Motion | None:
+def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) -> Moved | None:
     """The run of frames in which the label does not fit, if it fits in nearly all others."""
     known = [(f, fits) for f, fits in sorted(states.items()) if f not in camera]
     gains = np.array([-1 if fits else 1 for _, fits in known])
@@ -191,7 +185,7 @@ def _motion(item: ObjectCheck, states: dict[int, bool], camera: frozenset[int]) 
     if end < len(frames):
         between.append((frames[end - 1], frames[end]))
     off = tuple(f for f, fits in known[start:end] if not fits)
-    return Motion(item.object, item.name, tuple(between), off)
+    return Moved(item.object, item.name, tuple(between), off)
 
 
 def _fault(
@@ -223,3 +217,115 @@ def _with_fault(row: FrameCheck, camera: Sequence[int], options: CheckOptions) -
     elif shift > options.max_alignment_px:
         fault = f"depth shifted by {shift:.1f} px"
     return msgspec.structs.replace(row, fault=fault)
+
+
+def frame_ranges(ids: Sequence[int], limit: int = 8) -> str:
+    """Ids as ranges, such as "3-7, 12"."""
+    runs: list[list[int]] = []
+    for i in ids:
+        if runs and i == runs[-1][1] + 1:
+            runs[-1][1] = i
+        else:
+            runs.append([i, i])
+    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs[:limit])
+    return text + (f" and {len(runs) - limit} more" if len(runs) > limit else "")
+
+
+def _unreadable(measured: Measured) -> Reading | None:
+    if not (measured.summary.looked_at or measured.frames):
+        return None
+    bad = [f.name for f in measured.frames if f.problem]
+    return Reading(float(len(bad)), detail=listed(bad))
+
+
+def _wrong_cameras(measured: Measured) -> Reading | None:
+    if not measured.has_contours:
+        return None
+    names = {f.frame: f.name for f in measured.frames}
+    found = [names[i] for i in measured.camera]
+    return Reading(float(len(found)), detail=listed(found, _MOST_NAMES))
+
+
+def _has_moved(item: ObjectCheck, measured: Measured) -> Reading | None:
+    if not measured.has_contours:
+        return None
+    return Reading(float(any(m.object == item.object for m in measured.moved)))
+
+
+def _moves(found: Readings, measured: Measured) -> str:
+    names = {f.frame: f.name for f in measured.frames}
+    objects = {item.object for item, _ in found}
+    return "; ".join(
+        f"{m.name} moved "
+        + " and ".join(f"between frames {names[a]} and {names[b]}" for a, b in m.between)
+        for m in measured.moved
+        if m.object in objects
+    )
+
+
+def _most_unfit(measured: Measured) -> Reading | None:
+    unfit = measured.unfit
+    worst = max(unfit, key=lambda name: unfit[name], default=None)
+    if worst is None:
+        return None
+    value = round(100 * unfit[worst], 1)
+    return Reading(value, detail=worst if value else "")
+
+
+def _damaged_and_stale(measured: Measured) -> Iterable[CheckWarning]:
+    for f in measured.frames:
+        if f.problem:
+            yield CheckWarning(
+                severity="high",
+                about=f"frame {f.name}",
+                problem=f"could not be checked: {f.problem}",
+                advice="restore the file or import the recording again",
+            )
+    stale = [f.frame for f in measured.frames if f.truth == "stale"]
+    if stale:
+        yield CheckWarning(
+            severity="high",
+            about=f"{len(stale)} frames",
+            problem="ground truth was rendered from other labels or camera poses: "
+            f"{frame_ranges(stale)}",
+            advice="run `std-curate render`",
+        )
+
+
+GATES = (
+    SceneGate(
+        key="frames",
+        title="frames that could not be checked",
+        measure=_unreadable,
+        names=True,
+        advice="restore the files named in the warnings, or import the recording again",
+        warn=_damaged_and_stale,
+    ),
+    SceneGate(
+        key="camera",
+        title="frames with a wrong camera pose",
+        measure=_wrong_cameras,
+        advice="most labels that fit in the other frames do not fit in these: run `std-curate "
+        "poses` again, or leave the frames out (`std-curate export --drop-bad-frames`)",
+    ),
+    ObjectGate(
+        key="moved",
+        title="objects that moved during the recording",
+        measure=_has_moved,
+        counts=True,
+        exempt=no_exemption,
+        names=False,
+        detail=_moves,
+        advice="cut the recording where the object moved, or leave the frames out "
+        "(`std-curate export --drop-bad-frames`)",
+    ),
+    SceneGate(
+        key="unfit",
+        title="frames in which a label does not fit, worst object",
+        measure=_most_unfit,
+        limit=lambda options: round(100 * options.max_unfit, 1),
+        unit="%",
+        advice="look at these frames in the report; leave them out "
+        "(`std-curate export --drop-bad-frames`), or label the parts of the recording apart",
+    ),
+)

@@ -1,0 +1,233 @@
+"""Gates on the contour of a label, and on how well images and annotation determine it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from std_toolkit.checks.gates.gate import (
+    Measured,
+    ObjectGate,
+    Reading,
+    no_exemption,
+    unlabelled,
+    unseen,
+)
+from std_toolkit.checks.gates.motion import is_small
+from std_toolkit.checks.measure.coverage import NARROW_DEG
+from std_toolkit.checks.result import CheckWarning, Number, ObjectCheck, Severity
+from std_toolkit.options import CheckOptions
+
+# With fewer frames that have a shift, drift cannot be distinguished from a mismatch.
+FEWEST_DRIFT_FRAMES = 5
+# Edge distances above this fraction of the distance by chance are not significant.
+CHANCE_PART = 0.6
+# A best shift in this fraction of the frames is sufficient evidence despite texture.
+ENOUGH_SHIFTS = 0.5
+_LARGE_OFFSET_MM = 3.0
+_LOW_VISIBILITY = 0.5
+_LARGE_STEP_DEG = 30.0
+
+
+def has_edges(item: ObjectCheck, options: CheckOptions) -> bool:
+    """Whether the object's outline has enough image edges."""
+    enough = (item.value("edge_support") or 0) >= options.min_edge_support
+    return enough and item.value("edge_px") is not None
+
+
+def is_uninformative(item: ObjectCheck) -> bool:
+    """Whether random contours nearby are as close to image edges as the label."""
+    edge, chance = item.value("edge_px"), item.value("edge_chance_px")
+    return edge is not None and chance is not None and edge > CHANCE_PART * chance
+
+
+def shift_px(item: ObjectCheck, options: CheckOptions) -> Number:
+    """The shift of the label against the image, if enough frames have a clear one."""
+    reliable = has_edges(item, options) and (item.value("shift_share") or 0) >= ENOUGH_SHIFTS
+    return item.value("shift_px") if reliable else None
+
+
+def is_confirmed(item: ObjectCheck, options: CheckOptions) -> bool:
+    """Whether the image supports the label: it is better than chance, or a shift is clear.
+
+    A wrong label is close to edges of other surfaces, especially in a textured scene. A small
+    edge distance alone is therefore no evidence.
+    """
+    if item.text("confirmed") == "yes" and item.value("motion_mm") is not None:
+        return True
+    if not has_edges(item, options):
+        return False
+    return not is_uninformative(item) or shift_px(item, options) is not None
+
+
+def _labelled(item: ObjectCheck, measured: Measured) -> Reading:
+    del measured
+    return Reading(0.0 if item.is_labelled else 1.0)
+
+
+def _edges(item: ObjectCheck, measured: Measured) -> Reading | None:
+    if not has_edges(item, measured.options):
+        return None
+    return _pixels(item, item.value("edge_px"), measured.options.max_edge_px, measured)
+
+
+def _shift(item: ObjectCheck, measured: Measured) -> Reading | None:
+    shift = shift_px(item, measured.options)
+    return _pixels(item, shift, measured.options.max_shift_px, measured)
+
+
+def _pixels(item: ObjectCheck, value: Number, limit: float, measured: Measured) -> Reading | None:
+    """Pixels depend on resolution and distance: they decide where the motion is not measured."""
+    if value is None or value <= limit or not is_small(item, measured.options):
+        return Reading(value)
+    return Reading(limit, excuse="its motion, which counts instead, is within the limits")
+
+
+def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
+    drift = item.entry("drift_px")
+    if drift is None or item.material == "transparent":
+        return None
+    reliable = drift.frames >= FEWEST_DRIFT_FRAMES and has_edges(item, measured.options)
+    return Reading(drift.value) if reliable else None
+
+
+def _evidence(item: ObjectCheck, measured: Measured) -> Reading | None:
+    if unseen(item, measured):
+        return None
+    return Reading(0.0 if is_confirmed(item, measured.options) else 1.0)
+
+
+def _clear_glass(item: ObjectCheck, measured: Measured) -> str:
+    del measured
+    glass = item.material == "transparent"
+    return "clear glass may have no visible edge" if glass else ""
+
+
+def _unpropagated(measured: Measured) -> Iterable[CheckWarning]:
+    for item in measured.objects:
+        if item.label == "annotated":
+            yield CheckWarning(
+                severity="medium",
+                about=item.name,
+                problem="is annotated but not propagated",
+                advice="run `std-curate propagate`",
+            )
+
+
+def _weak_evidence(measured: Measured) -> Iterable[CheckWarning]:
+    """What the images lack to determine the labels."""
+    for item in measured.labelled:
+        for severity, problem, advice in _lacks(item, measured.options):
+            yield CheckWarning(severity=severity, about=item.name, problem=problem, advice=advice)
+
+
+def _lacks(item: ObjectCheck, options: CheckOptions) -> Iterable[tuple[Severity, str, str]]:
+    """Severity, problem and advice for each thing that the images of an object lack."""
+    if item.frames_seen == 0:
+        yield "high", "is not visible in any measured frame", "check its label and mesh"
+        return
+    if not has_edges(item, options):
+        yield (
+            "medium",
+            f"only {100 * (item.value('edge_support') or 0):.0f} % of its contour is near an image "
+            "edge: the image weakly supports the label",
+            "inspect its close-ups; annotate it in a frame with more contrast",
+        )
+    elif not is_confirmed(item, options):
+        yield (
+            "medium",
+            f"its edge distance, {item.value('edge_px'):.1f} px, is no better than chance "
+            f"({item.value('edge_chance_px'):.1f} px): the images do not support the label",
+            "inspect its close-ups",
+        )
+    offset = item.value("offset_mm") or 0
+    pooled = item.value("motion_mm") is None and has_edges(item, options)
+    if pooled and offset > _LARGE_OFFSET_MM:
+        yield (
+            "medium",
+            f"all frames together place it {offset:.1f} mm from its label",
+            "run `std-curate propagate --refine`",
+        )
+    parallax, step = item.value("parallax_deg"), item.value("largest_step_deg") or 0
+    if parallax is not None and parallax < NARROW_DEG:
+        yield (
+            "medium",
+            f"was seen over only {parallax:.0f} degrees: its depth is weakly determined",
+            "record a wider sweep around it",
+        )
+    if step > _LARGE_STEP_DEG:
+        yield (
+            "low",
+            f"its views have a gap of {step:.0f} degrees",
+            "record the missing directions if you need them",
+        )
+    visible = item.value("visible_fraction")
+    if visible is not None and visible < _LOW_VISIBILITY:
+        yield (
+            "low",
+            f"is half occluded in most frames (visible {100 * visible:.0f} %)",
+            "rearrange the objects if it must be visible in this scene",
+        )
+    direction = item.text("label_std_mm")
+    if direction:
+        yield "low", direction, "annotate it in a view perpendicular to that direction"
+
+
+GATES = (
+    ObjectGate(
+        key="labelled",
+        title="objects without a propagated label",
+        measure=_labelled,
+        counts=True,
+        exempt=no_exemption,
+        verdict="open",
+        advice="annotate them (`std-curate label`), then run `std-curate propagate`",
+        warn=_unpropagated,
+    ),
+    ObjectGate(
+        key="edges",
+        title="distance from label contour to image edge, worst object",
+        measure=_edges,
+        limit=lambda options: options.max_edge_px,
+        unit="px",
+        advice="inspect the overlays; run `std-curate propagate --refine` or annotate the "
+        "object again",
+    ),
+    ObjectGate(
+        key="shift",
+        title="shift of the image against the label, worst object",
+        measure=_shift,
+        limit=lambda options: options.max_shift_px,
+        unit="px",
+        advice="run `std-curate propagate --refine`; if only frames far from the annotated one "
+        "are off, check the scale and the camera poses",
+    ),
+    ObjectGate(
+        key="drift",
+        title="image motion relative to the label that no pose explains, worst object",
+        measure=_drift,
+        limit=lambda options: options.max_drift_px,
+        unit="px",
+        advice="the label fits only some frames: check the scale sources, the camera poses, "
+        "and whether the object was moved",
+    ),
+    ObjectGate(
+        key="covariance",
+        title="standard deviation of a label, weakest direction, worst object",
+        measure=lambda item, _: Reading(item.value("label_std_mm")),
+        exempt=unlabelled,
+        limit=lambda options: options.max_label_std_mm,
+        unit="mm",
+        advice="annotate it in another frame from a different side, or record a wider sweep",
+    ),
+    ObjectGate(
+        key="evidence",
+        title="labels without support in the images",
+        measure=_evidence,
+        counts=True,
+        exempt=_clear_glass,
+        verdict="doubtful",
+        unmeasured="open",
+        advice="inspect their overlays: a wrong label matches no edges, or those of other surfaces",
+        warn=_weak_evidence,
+    ),
+)

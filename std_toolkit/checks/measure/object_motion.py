@@ -1,0 +1,266 @@
+"""Residual motion, size and confirmation of the labels, from the equations of all frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.measure.aggregate import JUDGED_FRACTION, in_mm, known_values, rounded
+from std_toolkit.checks.measure.contours import mesh_problem, object_centre
+from std_toolkit.checks.measure.edges import Consistency, fit_consistency
+from std_toolkit.checks.measure.motion import (
+    FEWEST_FRAMES,
+    FiledEquations,
+    MotionEquations,
+    Support,
+    pooled_support,
+)
+from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
+from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
+from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
+from std_toolkit.options import CheckOptions
+from std_toolkit.scene import Scene
+
+_Equations = MotionEquations | FiledEquations
+
+# Smaller differences in size are not worth a warning, and do not pull the motion with them.
+NOTED_SIZE = 0.015
+SIZE_DEVIATIONS = 3.0
+# Support of all frames together that confirms a label which few frames confirm alone: deviations
+# above chance, and the part of what chance leaves. Right labels on glass reach 0.43, the mesh of
+# another object 0.37.
+_CLEAR_DEVIATIONS = 3.5
+_CLEAR_PART = 0.4
+# Systematic part of the deviation of a size: reflections and refraction move the edges of contours.
+_SIZE_STD = {"specular": 0.014, "transparent": 0.008}
+# The same for motions, px.
+_SYSTEMATIC_PX = {"specular": 1.0, "transparent": 0.4}
+_OPAQUE_SYSTEMATIC_PX = 0.1
+# Together with the size, such an error can look like a rotation.
+_SIZED_SYSTEMATIC_PX = 0.25
+_OPAQUE_SIZE_STD = 0.004
+# A mesh of the right size brings at least this share of the contour onto edges that a wrong one
+# leaves beside them. Sizes 2 to 8 % off change the share by 0.09 to 0.45, shades and reflections
+# that look like a size by up to 0.05.
+_SIZE_SHARE = 0.07
+# Reflections give edges at which a pose is about as likely; up to this many limits away, they say
+# nothing against the label.
+_LOOSE = 1.5
+# A label from which no motion is significant keeps at least this part of the support above chance
+# that the images offer nearby. Right labels keep 0.81 or more on glass and steel.
+_KEPT_SUPPORT = 0.65
+
+
+def with_motions(
+    scene: Scene,
+    objects: Sequence[ObjectCheck],
+    observed: Sequence[FrameObservation],
+    options: CheckOptions,
+) -> list[ObjectCheck]:
+    """The rows of the objects with their motion, size and confirmation."""
+    return [
+        _with_motion(scene, o.with_values(_drift_values(o.object, observed)), observed, options)
+        for o in objects
+    ]
+
+
+def _with_motion(
+    scene: Scene,
+    item: ObjectCheck,
+    observed: Sequence[FrameObservation],
+    options: CheckOptions,
+) -> ObjectCheck:
+    T_world_obj = scene.T_world_obj(item.object)
+    if not item.is_labelled or T_world_obj is None:
+        return item
+    if mesh_problem(scene, item.model) is not None:
+        return item
+    rows: dict[int, _Equations] = {}
+    judged: dict[int, _Equations] = {}
+    for frame in observed:
+        seen = frame.objects.get(item.object)
+        if seen is not None and seen.motion is not None:
+            rows[frame.frame] = seen.motion
+            if seen.visible_fraction >= JUDGED_FRACTION:
+                judged[frame.frame] = seen.motion
+    symmetry = scene.objects.model(item.model).symmetry.symmetry()
+    free = symmetry_motions(symmetry, T_world_obj, object_centre(scene, item.object))
+    equations = list(judged.values())
+    item = msgspec.structs.replace(
+        item, frames=[_frame_row(row, rows.get(row.frame), free) for row in item.frames]
+    )
+    systematic_px = _SYSTEMATIC_PX.get(item.material, _OPAQUE_SYSTEMATIC_PX)
+    motion = solve_motion(equations, free, systematic_px=systematic_px)
+    if motion is None:
+        return item.with_values([_confirmation(False, 0.0, 0)])
+    # Support is measured where the images put the object: a small motion has a gate of its own.
+    support = pooled_support(equations, motion.vector)
+    if len(equations) < FEWEST_FRAMES:
+        # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
+        shown = _is_supported(support) or item.text("texture") == "fits"
+        return item.with_values([_confirmation(shown, support.frames, len(equations))])
+    plain = motion
+    sized = solve_motion(
+        equations, free, with_size=True, systematic_px=max(systematic_px, _SIZED_SYSTEMATIC_PX)
+    )
+    assert sized is not None and sized.size is not None and sized.size_std is not None
+    floor = _SIZE_STD.get(item.material, _OPAQUE_SIZE_STD)
+    size_std = float(np.hypot(sized.size_std, floor))
+    sized_support = pooled_support(equations, np.append(sized.vector, sized.size))
+    if sized_support.share - support.share < _SIZE_SHARE:
+        size_std = max(size_std, abs(sized.size))
+    # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
+    if abs(sized.size) > max(NOTED_SIZE, SIZE_DEVIATIONS * size_std):
+        motion, support = sized, sized_support
+    shown = item.text("texture") == "fits" or (
+        _is_supported(support)
+        and not _is_loose(plain, options)
+        and _keeps_support(motion, support, equations)
+    )
+    return item.with_values(
+        [
+            *_motion_values(motion, len(equations)),
+            Value(
+                key="size_error",
+                value=round(sized.size, 5),
+                std=round(size_std, 5),
+                source="contour",
+                frames=len(equations),
+            ),
+            _confirmation(shown, support.frames, len(equations)),
+        ]
+    )
+
+
+def _drift_values(object_id: int, observed: Sequence[FrameObservation]) -> list[Value]:
+    """One displacement that explains the shifts of all frames, and what it leaves."""
+    found = [f.objects[object_id] for f in observed if object_id in f.objects]
+    drift = _consistency([o for o in found if o.visible_fraction >= JUDGED_FRACTION])
+    if drift is None:
+        return []
+    offset = [round(1000 * x, 2) for x in drift.offset_m]
+    return [
+        *known_values("contour", drift.frames, shift_spread_px=rounded(drift.spread_px)),
+        Value(
+            key="offset_mm",
+            value=round(float(np.linalg.norm(offset)), 2),
+            unit="mm",
+            source="contour",
+            frames=drift.frames,
+            motion=[*offset, 0.0, 0.0, 0.0],
+        ),
+        *known_values(
+            "contour", drift.frames, drift_px=rounded(drift.drift_px), drift_mm=in_mm(drift.drift_m)
+        ),
+    ]
+
+
+def _consistency(judged: Sequence[ObjectObservation]) -> Consistency | None:
+    rows = [
+        (o.shift, o.jacobian, o.metres_per_px)
+        for o in judged
+        if o.shift is not None and o.jacobian is not None and o.metres_per_px is not None
+    ]
+    if not rows:
+        return None
+    return fit_consistency(
+        np.array([[s.x_px, s.y_px] for s, _, _ in rows]),
+        np.stack([J for _, J, _ in rows]),
+        np.array([m for _, _, m in rows]),
+    )
+
+
+def _motion_values(motion: Motion, frames: int) -> list[Value]:
+    (mm, mm_std), (deg, deg_std) = motion.translation_mm, motion.rotation_deg
+    units = np.array([1000.0] * 3 + [180 / np.pi] * 3)
+    covariance = motion.covariance * np.outer(units, units)
+    return [
+        Value(
+            key="motion_mm",
+            value=round(mm, 2),
+            std=round(mm_std, 2),
+            unit="mm",
+            source="contour",
+            frames=frames,
+            motion=[
+                *(round(float(x), 2) for x in 1000 * motion.vector[:3]),
+                *(round(float(x), 2) for x in np.rad2deg(motion.vector[3:])),
+            ],
+            covariance=[float(f"{x:.6g}") for x in covariance.ravel()],
+        ),
+        Value(
+            key="motion_deg",
+            value=round(deg, 2),
+            std=round(deg_std, 2),
+            unit="deg",
+            source="contour",
+            frames=frames,
+        ),
+    ]
+
+
+def _confirmation(shown: bool, share: float, frames: int) -> Value:
+    return Value(
+        key="confirmed",
+        value=round(share, 4),
+        source="contour",
+        frames=frames,
+        text="yes" if shown else "no",
+    )
+
+
+def _frame_row(
+    row: ObjectFrameCheck, filed: _Equations | None, free: NDArray[np.float64]
+) -> ObjectFrameCheck:
+    """The row with the support of the label in this frame, and the motion by this frame alone."""
+    if filed is None:
+        return row
+    equations = filed.load()
+    alone = solve_motion([equations], free)
+    assert alone is not None
+    on_edges, chance = equations.support(np.zeros(6))
+    (mm, mm_std), (deg, deg_std) = alone.translation_mm, alone.rotation_deg
+    return msgspec.structs.replace(
+        row,
+        on_edges=round(on_edges, 4),
+        on_edges_chance=round(chance, 4),
+        motion_mm=round(mm, 2),
+        motion_std_mm=round(mm_std, 2),
+        motion_deg=round(deg, 2),
+        motion_std_deg=round(deg_std, 2),
+    )
+
+
+def _is_supported(support: Support) -> bool:
+    """Whether the images show the object: most frames alone, or all together clearly.
+
+    The contour of clear glass is faint: few frames tell it from chance alone.
+    """
+    margin = support.share - support.chance
+    together = margin > max(
+        _CLEAR_DEVIATIONS * support.deviation, _CLEAR_PART * (1 - support.chance)
+    )
+    return support.frames > 0.5 or together
+
+
+def _keeps_support(motion: Motion, support: Support, equations: Sequence[_Equations]) -> bool:
+    """Whether the label itself lies on edges, where the motion to better ones is not significant.
+
+    Reflections on steel leave the motion so uncertain that a wrong label may lie within it.
+    """
+    if motion.translation_mm[0] > 0 or motion.rotation_deg[0] > 0:
+        return True
+    label = pooled_support(equations, np.zeros(6))
+    return label.share - label.chance >= _KEPT_SUPPORT * (support.share - support.chance)
+
+
+def _is_loose(motion: Motion, options: CheckOptions) -> bool:
+    """Whether the images allow a pose far from the label without showing it."""
+    mm = 1000 * float(np.linalg.norm(motion.vector[:3]))
+    deg = float(np.rad2deg(np.linalg.norm(motion.vector[3:])))
+    return (mm > _LOOSE * options.max_motion_mm and motion.translation_mm[0] == 0) or (
+        deg > _LOOSE * options.max_motion_deg and motion.rotation_deg[0] == 0
+    )
