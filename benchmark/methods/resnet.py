@@ -52,15 +52,17 @@ class Bottleneck(nn.Module):
     Args:
         inputs: channels.
         inner: channels inside; `WIDENED` times as many come out.
-        stride: of the 3x3 convolution.
+        stride, dilation: of the 3x3 convolution.
     """
 
-    def __init__(self, inputs: int, inner: int, stride: int = 1) -> None:
+    def __init__(self, inputs: int, inner: int, stride: int = 1, dilation: int = 1) -> None:
         super().__init__()
         outputs = WIDENED * inner
         self.conv1 = nn.Conv2d(inputs, inner, 1, bias=False)
         self.bn1 = nn.BatchNorm2d(inner)
-        self.conv2 = nn.Conv2d(inner, inner, 3, stride, padding=1, bias=False)
+        self.conv2 = nn.Conv2d(
+            inner, inner, 3, stride, padding=dilation, dilation=dilation, bias=False
+        )
         self.bn2 = nn.BatchNorm2d(inner)
         self.conv3 = nn.Conv2d(inner, outputs, 1, bias=False)
         self.bn3 = nn.BatchNorm2d(outputs)
