@@ -75,11 +75,7 @@ class ToolkitScenes:
 
     def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
         """See `DepthSource`."""
-        listed, stem = self.index.at(index)
-        scene = self._scene(listed.path)
-        frame = next((f for f in scene.frames if f.name == stem), None)
-        if frame is None:
-            raise ToolkitError("no such frame any more", path=scene.root, value=stem)
+        scene, frame = self._frame(index)
         camera = scene.camera(frame)
         truth = _fresh_truth(scene, frame)
         true, mask = loading.read_depth_map(truth.depth), loading.read_id_mask(truth.mask)
@@ -89,6 +85,7 @@ class ToolkitScenes:
         color, raw = loading.NO_COLOR, loading.NO_DEPTH
         if sensor:
             color, raw = scene.read_color(frame), _sensor_depth(scene, frame)
+        listed, stem = self.index.at(index)
         key = splits.FrameKey(listed.name, stem)
         try:
             return DepthFrame(
@@ -107,11 +104,7 @@ class ToolkitScenes:
 
     def known_boxes(self, index: int) -> dict[int, true_poses.KnownBox]:
         """See `BoxSource`; boxes of the scene's meshes, with the rendered poses."""
-        listed, stem = self.index.at(index)
-        scene = self._scene(listed.path)
-        frame = next((f for f in scene.frames if f.name == stem), None)
-        if frame is None:
-            raise ToolkitError("no such frame any more", path=scene.root, value=stem)
+        scene, frame = self._frame(index)
         poses = {}
         if _fresh_truth(scene, frame).rendered:
             rows = read_frame_truth(scene, frame.id).objects
@@ -134,6 +127,14 @@ class ToolkitScenes:
             missing = self.left_out.get(scene.name, {})
             lost = {name for names in missing.values() for name in names}
             yield splits.SceneFiles(scene.name, scene.path, len(scene.stems) + len(lost), missing)
+
+    def _frame(self, index: int) -> tuple[Scene, Frame]:
+        listed, stem = self.index.at(index)
+        scene = self._scene(listed.path)
+        frame = next((f for f in scene.frames if f.name == stem), None)
+        if frame is None:
+            raise ToolkitError("no such frame any more", path=scene.root, value=stem)
+        return scene, frame
 
     def _scene(self, path: str) -> Scene:
         scene = self._open.get(path)

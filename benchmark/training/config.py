@@ -93,6 +93,10 @@ class Optimization:
         return share
 
 
+# Adam in steps without weight decay, as many methods are published.
+ADAM = Optimization(optimizer="adam", weight_decay=0.0, decay="steps")
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """A training.

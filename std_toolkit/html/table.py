@@ -163,17 +163,12 @@ class Table:
         measured = [row for row in self.rows if row.kind != "published"]
         return [group for group in (measured, published) if group]
 
-    def terminal(self, *, notes: bool = True, star: str = "* ") -> str:
-        """Aligned text; published rows start with a star.
-
-        Args:
-            notes: include the notes of the cells.
-            star: prefix of a published row.
-        """
+    def terminal(self, *, notes: bool = True) -> str:
+        """Aligned text, with or without the notes of cells; published rows start with a star."""
         lines = [[column.title for column in self.columns]]
         for row in self._ordered():
             cells = [cell.plain if notes else cell.text for cell in row.cells]
-            cells[0] = (star if row.kind == "published" else "") + cells[0]
+            cells[0] = ("* " if row.kind == "published" else "") + cells[0]
             lines.append(cells)
         head = [self.title] if self.title else []
         numeric = [column.numeric for column in self.columns]

@@ -154,25 +154,23 @@ def summarise(
     name: str,
     ratios: NDArray[np.floating],
     *,
-    weights: NDArray[np.floating] | None = None,
     groups: NDArray[np.integer] | None = None,
     note: str = "",
 ) -> ScaleEstimate:
     """Summarise single estimates of the scale robustly.
 
-    The factor is the (weighted) median. The spread is the interquartile range relative to it. The
+    The factor is the median. The spread is the interquartile range relative to it. The
     standard error is 1.2533 x 1.4826 x MAD / sqrt(n), relative to the factor; with `groups` it is
     that of the medians per group, because estimates from one image share their errors.
 
     Args:
         name: name of the source.
         ratios: (N,) positive single estimates.
-        weights: (N,) weights of the median.
         groups: (N,) group ids, such as frames.
         note: description of the measurements.
     """
     r = np.asarray(ratios, dtype=np.float64)
-    factor = float(np.median(r)) if weights is None else weighted_median(r, weights)
+    factor = float(np.median(r))
     q1, q3 = np.percentile(r, [25, 75])
     single = r
     if groups is not None:
@@ -187,13 +185,6 @@ def summarise(
         count=len(r),
         note=note,
     )
-
-
-def weighted_median(values: NDArray[np.floating], weights: NDArray[np.floating]) -> float:
-    """Return the weighted median: half of the total weight is on either side."""
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(np.asarray(weights, dtype=np.float64)[order])
-    return float(np.asarray(values)[order][np.searchsorted(total, total[-1] / 2)])
 
 
 def check_source_name(scale: str) -> None:

@@ -191,18 +191,11 @@ class Scene:
         path = self.root / "poses.json"
         for i, pose in enumerate(poses.frames):
             if pose.frame not in self._frame_by_id:
-                raise ToolkitError(
-                    "no such frame in frames.json",
-                    path=path,
-                    field=f"frames[{i}].frame",
-                    value=pose.frame,
-                )
+                raise _missing("frame in frames.json", path, f"frames[{i}].frame", pose.frame)
         for key, camera in poses.cameras.items():
             recorded = self.info.cameras.get(key)
             if recorded is None:
-                raise ToolkitError(
-                    "no such camera in scene.json", path=path, field="cameras", value=key
-                )
+                raise _missing("camera in scene.json", path, "cameras", key)
             if (camera.width, camera.height) != (recorded.width, recorded.height):
                 raise ToolkitError(
                     f"refined for another image size than {recorded.width}x{recorded.height}",
@@ -217,20 +210,11 @@ class Scene:
         objects = {o.id for o in self.objects.objects}
         for i, label in enumerate(labels.labels):
             if label.object not in objects:
-                raise ToolkitError(
-                    "no such object in objects.json",
-                    path=path,
-                    field=f"labels[{i}].object",
-                    value=label.object,
-                )
+                field = f"labels[{i}].object"
+                raise _missing("object in objects.json", path, field, label.object)
             for field, frame in [("frame", label.frame), *(("views", int(k)) for k in label.views)]:
                 if frame not in self._frame_by_id:
-                    raise ToolkitError(
-                        "no such frame in frames.json",
-                        path=path,
-                        field=f"labels[{i}].{field}",
-                        value=frame,
-                    )
+                    raise _missing("frame in frames.json", path, f"labels[{i}].{field}", frame)
         return labels
 
     def _checked_annotation(self, annotation: Annotation) -> Annotation:
@@ -238,20 +222,12 @@ class Scene:
         objects = {o.id for o in self.objects.objects}
         for i, row in enumerate(annotation.objects):
             if row.object not in objects:
-                raise ToolkitError(
-                    "no such object in objects.json",
-                    path=path,
-                    field=f"objects[{i}].object",
-                    value=row.object,
-                )
+                field = f"objects[{i}].object"
+                raise _missing("object in objects.json", path, field, row.object)
             for j, click in enumerate(row.clicks):
                 if click.frame not in self._frame_by_id:
-                    raise ToolkitError(
-                        "no such frame in frames.json",
-                        path=path,
-                        field=f"objects[{i}].clicks[{j}].frame",
-                        value=click.frame,
-                    )
+                    field = f"objects[{i}].clicks[{j}].frame"
+                    raise _missing("frame in frames.json", path, field, click.frame)
         return annotation
 
     @contextmanager
@@ -411,3 +387,7 @@ def require_metres(scene: Scene) -> None:
             hint="run `std-curate poses` with a scale source (sensor depth, --board FILE, or an "
             "object annotated in two or more frames)",
         )
+
+
+def _missing(what: str, path: Path, field: str, value: object) -> ToolkitError:
+    return ToolkitError(f"no such {what}", path=path, field=field, value=value)

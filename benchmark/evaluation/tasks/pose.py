@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.data.frame import DepthFrame, resize_nearest
 from benchmark.data.splits import DepthSource
+from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
 from benchmark.evaluation.config import PoseConfig, checked_label, options_by_method
 from benchmark.evaluation.depth_choice import RAW, DepthChoice, DepthProvider, depth_choice
 from benchmark.evaluation.engine import Task, weights_digest
@@ -20,8 +25,9 @@ from benchmark.evaluation.frames import (
 )
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup, circumstances
 from benchmark.evaluation.results import ERROR, INDEX
-from benchmark.evaluation.tasks import pose_inputs, pose_results, pose_table
-from benchmark.methods.protocol import Estimated, PoseEstimator, PoseView
+from benchmark.evaluation.tasks import pose_results, pose_table
+from benchmark.methods.depth.full_size import view_of
+from benchmark.methods.protocol import Estimated, PoseAnswer, PoseEstimator, PoseView
 from benchmark.methods.registry import make_pose_method
 from benchmark.metrics.pose import PoseProtocol
 from std_toolkit.errors import ToolkitError
@@ -31,6 +37,69 @@ POSE_FOLDER = "pose"
 AS_INPUT = "as-input"
 
 Methods = tuple[PoseEstimator, DepthProvider]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFrame:
+    """A frame with the known boxes and true poses of its objects."""
+
+    frame: DepthFrame
+    boxes: dict[int, KnownBox]
+    truths: list[TruePose]
+
+
+def load_pose_frame(source: DepthSource, index: int) -> PoseFrame:
+    """Load a frame with its true poses.
+
+    Raises:
+        ToolkitError: the frame cannot be read, or has no normalised coordinates.
+    """
+    frame = source.load(index, nocs=True)
+    boxes = known_boxes(source, index)
+    return PoseFrame(frame, boxes, true_poses(frame, boxes))
+
+
+def pose_view(
+    frame: DepthFrame,
+    depth: NDArray[np.float32],
+    method: PoseEstimator,
+    *,
+    boxes: Mapping[int, KnownBox],
+    sensor: NDArray[np.float32] | None = None,
+) -> PoseView:
+    """Create the input of a method at its input size, or at ground truth size if it has none.
+
+    Args:
+        frame: frame with NOCS.
+        depth: depth that poses are fitted to, of any size, metres. Values that are not finite or
+            not positive are missing depth.
+        method: the method.
+        boxes: known boxes of the objects, by mask id.
+        sensor: input depth of networks, of any size; by default the raw depth of the frame.
+
+    Raises:
+        ToolkitError: the method needs NOCS and the frame has none.
+    """
+    seen = view_of(frame, method.input_size)
+    size = seen.camera.size
+    answer = None
+    if method.needs_truth:
+        if frame.nocs is None:
+            raise ToolkitError("the frame has no normalised coordinates", path=frame.key)
+        answer = PoseAnswer(
+            resize_nearest(frame.mask, size),
+            frame.instances,
+            resize_nearest(frame.nocs, size),
+            {mask_id: box.sides for mask_id, box in boxes.items()},
+        )
+    looked_at = seen.depth if sensor is None else _resized(sensor, size)
+    return PoseView(seen.color, looked_at, _resized(depth, size), seen.camera, answer)
+
+
+def _resized(depth: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    resized = resize_nearest(np.asarray(depth, np.float32), size)
+    resized[~(np.isfinite(resized) & (resized > 0))] = 0
+    return resized
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +142,7 @@ class PoseRun(FrameRun[Methods]):
     def check(self, data: DepthSource) -> None:
         """Raise one error for a split without true poses, instead of one per frame."""
         for index in self.chosen(data)[:1]:
-            pose_inputs.load_pose_frame(data, index)
+            load_pose_frame(data, index)
 
     def make(self, device: str) -> Methods:
         options = replace(self.options, device=device, settings=self.settings)
@@ -108,14 +177,14 @@ class PoseRun(FrameRun[Methods]):
             **circumstances(),
         )
 
-    def load(self, data: DepthSource, index: int) -> pose_inputs.PoseFrame:
-        return pose_inputs.load_pose_frame(data, index)
+    def load(self, data: DepthSource, index: int) -> PoseFrame:
+        return load_pose_frame(data, index)
 
     def rows(
         self,
         data: DepthSource,  # noqa: ARG002
         methods: Methods,
-        frames: Sequence[tuple[Base, pose_inputs.PoseFrame | str]],
+        frames: Sequence[tuple[Base, PoseFrame | str]],
     ) -> list[dict[str, Any]]:
         method, depths = methods
         there = {b[INDEX]: frame for b, frame in frames if not isinstance(frame, str)}
@@ -127,7 +196,7 @@ class PoseRun(FrameRun[Methods]):
                 continue
             frame, boxes = there[index].frame, there[index].boxes
             sensor = depth if self.as_input else None
-            views[index] = pose_inputs.pose_view(frame, depth, method, boxes=boxes, sensor=sensor)
+            views[index] = pose_view(frame, depth, method, boxes=boxes, sensor=sensor)
         estimated = answers_one_by_one(method.estimate, _check_estimated, views)
         answers |= estimated
         rows: list[dict[str, Any]] = []

@@ -92,7 +92,6 @@ class SetAbstraction(nn.Module):
         scales: one, or several whose features are put behind one another.
         inputs: channels of the features; 0 for none.
         normalise: whether relative places are divided by the radius.
-        normalised: whether the small networks have batch normalisation.
 
     Raises:
         ToolkitError: no scale.
@@ -105,15 +104,13 @@ class SetAbstraction(nn.Module):
         inputs: int,
         *,
         normalise: bool = False,
-        normalised: bool = True,
     ) -> None:
         super().__init__()
         if not scales:
             raise ToolkitError("needs at least one scale", field="scales")
         self.centres, self.scales, self.normalise = centres, tuple(scales), normalise
         self.mlps = nn.ModuleList(
-            SharedMLP(3 + inputs, scale.widths, dimensions=2, normalised=normalised)
-            for scale in scales
+            SharedMLP(3 + inputs, scale.widths, dimensions=2) for scale in scales
         )
         self.outputs = sum(scale.widths[-1] for scale in scales)
 
@@ -163,7 +160,6 @@ class FeaturePropagation(nn.Module):
     Args:
         inputs: channels of both together.
         widths: of the small network.
-        normalised: whether it has batch normalisation.
         squared_weights: see `interpolated`.
     """
 
@@ -172,12 +168,11 @@ class FeaturePropagation(nn.Module):
         inputs: int,
         widths: Sequence[int],
         *,
-        normalised: bool = True,
         squared_weights: bool = True,
     ) -> None:
         super().__init__()
         self.squared_weights = squared_weights
-        self.mlp = SharedMLP(inputs, widths, normalised=normalised)
+        self.mlp = SharedMLP(inputs, widths)
         self.outputs = self.mlp.outputs
 
     def forward(

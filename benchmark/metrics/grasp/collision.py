@@ -110,10 +110,9 @@ class Cloud:
         )
         return np.asarray(counts.any(axis=1))
 
-    def hit_by(self, grasps: Grasps, gripper: Gripper, *, margin: float = 0.0) -> NDArray[np.bool_]:
-        """(N,) grasps whose open gripper has a point inside it; `margin` as of `count_inside`."""
-        boxes = gripper.boxes(grasps.widths, grasps.depths)
-        return self.any_inside(grasps, boxes, margin=margin)
+    def hit_by(self, grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
+        """(N,) grasps whose open gripper has a point inside it."""
+        return self.any_inside(grasps, gripper.boxes(grasps.widths, grasps.depths))
 
     def count_between(self, grasps: Grasps, gripper: Gripper) -> NDArray[np.int64]:
         """(N,) how many points lie between the open fingers: few of them, and it grasps air."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -25,7 +26,7 @@ from benchmark.methods.depth.two_branch import TwoBranchNetwork
 from benchmark.methods.torch_camera import points_of
 from benchmark.training import step
 from benchmark.training.catalogue import Trainable
-from benchmark.training.config import Optimization
+from benchmark.training.config import ADAM, Optimization
 from benchmark.training.depth import (
     cleargrasp_losses,
     cleargrasp_training,
@@ -38,13 +39,11 @@ NLSPN_TRAINING = Trainable(
     presets=NLSPN,
     network=NLSPNetwork,
     loss=depth_losses.NLSPNLoss(),
-    optimization=Optimization(
-        optimizer="adam",
+    optimization=replace(
+        ADAM,
         learning_rate=1e-3,
-        weight_decay=0.0,
         batch_size=12,
         epochs=20,
-        decay="steps",
         milestones=(10 / 20, 15 / 20),
         factor=0.2,
         warmup_share=1 / 20,
@@ -80,13 +79,11 @@ LIDF_TRAINING = Trainable(
     loss=lidf_training.LIDFLoss(),
     step=lidf_training.lidf_step,
     validator=partial(DepthValidator, restore=lidf_training.lidf_depth),
-    optimization=Optimization(
-        optimizer="adam",
+    optimization=replace(
+        ADAM,
         learning_rate=1e-3,
-        weight_decay=0.0,
         batch_size=32,
         epochs=120,
-        decay="steps",
         phase_epochs={lidf_training.COARSE: 60, lidf_training.REFINE: 30, lidf_training.HARD: 30},
         phase_rates={lidf_training.HARD: 0.1},
     ),
@@ -102,13 +99,11 @@ CLEARGRASP_TRAINING = Trainable(
     loss=cleargrasp_losses.ClearGraspLoss(),
     step=cleargrasp_training.cleargrasp_step,
     validator=cleargrasp_training.ClearGraspValidator,
-    optimization=Optimization(
-        optimizer="adam",
+    optimization=replace(
+        ADAM,
         learning_rate=1e-4,
-        weight_decay=0.0,
         batch_size=32,
         epochs=20,
-        decay="steps",
     ),
     colors=True,
     geometry=False,

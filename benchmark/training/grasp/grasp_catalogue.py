@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -126,13 +127,11 @@ GRASPNET_TRAINING = catalogue.Trainable(
     images=False,
     step=grasp_step,
     validator=GraspValidator,
-    optimization=config.Optimization(
-        optimizer="adam",
+    optimization=replace(
+        config.ADAM,
         learning_rate=1e-3,
-        weight_decay=0.0,
         batch_size=2,
         epochs=18,
-        decay="steps",
         milestones=(8 / 18, 12 / 18, 16 / 18),
         factor=0.1,
     ),

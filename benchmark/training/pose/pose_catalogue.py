@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import begin_pose_netw
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import PRESETS as SWINDRNET_NOCS
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import SwinNOCSNetwork
 from benchmark.training.catalogue import Trainable
-from benchmark.training.config import Optimization
+from benchmark.training.config import ADAM, Optimization
 from benchmark.training.packed_frames import fitting_frames_with_nocs
 from benchmark.training.pose import (
     crop_nocs_training,
@@ -55,13 +56,11 @@ SPD_TRAINING = Trainable(
     step=deformation_training.deformation_step,
     validator=deformation_training.DeformationValidator,
     # Whether and how the rate falls is not known: it stays.
-    optimization=Optimization(
-        optimizer="adam",
+    optimization=replace(
+        ADAM,
         learning_rate=1e-4,
-        weight_decay=0.0,
         batch_size=32,
         epochs=50,
-        decay="steps",
     ),
     imagenet=load_imagenet,
 )
@@ -72,13 +71,11 @@ SGPA_TRAINING = Trainable(
     loss=deformation_loss.DeformationLoss(),
     step=deformation_training.deformation_step,
     validator=deformation_training.DeformationValidator,
-    optimization=Optimization(
-        optimizer="adam",
+    optimization=replace(
+        ADAM,
         learning_rate=1e-4,
-        weight_decay=0.0,
         batch_size=24,
         epochs=15,
-        decay="steps",
         phase_epochs={"first": 5, "second": 5, "third": 5},
         phase_rates={"second": 0.6, "third": 0.3},
     ),

@@ -158,12 +158,10 @@ def cut_window(
 
 
 def score_view(
-    window: TextureWindow, surface: TexturedSurface, T_world_obj: SE3, *, align: bool = True
+    window: TextureWindow, surface: TexturedSurface, T_world_obj: SE3
 ) -> TextureScore | None:
-    """Score of one pose in one window; None if too little of the object is in view.
-
-    Args:
-        align: correct offsets of a few pixels before the comparison.
+    """Score of one pose in one window, offsets of a few pixels corrected; None if too little of
+    the object is in view.
     """
     limits = TextureViewSettings.current()
     pose = window.T_cam_world @ T_world_obj
@@ -175,11 +173,8 @@ def score_view(
     inner = inner_mask(shown, drawn.normal) & drawn.sound
     if visible < limits.visible or inner.sum() < 100:
         return None
-    taken = window.color
-    if align:
-        taken = aligned(
-            drawn.color, taken, inner, limit_px=max(3.0, limits.largest_motion * window.size)
-        )
+    limit_px = max(3.0, limits.largest_motion * window.size)
+    taken = aligned(drawn.color, window.color, inner, limit_px=limit_px)
     level = contrast(drawn.color, inner, window.size)
     value = agreement(drawn.color, taken, inner, window.size)
     return TextureScore(value, clarity(level), strength(level), visible)

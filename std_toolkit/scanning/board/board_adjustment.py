@@ -56,7 +56,6 @@ class PosedPhotos:
         feature_rms_px: the same of the features; NaN without features.
         scale_deviation: relative difference of the size of the board that the features imply.
         points: (N, 3) triangulated features.
-        without_board: indices of the photos in which the board was not found.
     """
 
     camera: Camera
@@ -66,7 +65,6 @@ class PosedPhotos:
     feature_rms_px: float
     scale_deviation: float
     points: NDArray[np.float64]
-    without_board: tuple[int, ...]
 
 
 def build_model(
@@ -213,9 +211,8 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
     return found
 
 
-def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhotos:
+def adjust(model: Any, found: Sequence[BoardDetection]) -> PosedPhotos:
     """Adjust poses, intrinsics and features; the corners are fixed and weigh more."""
-    limits = BoardPhotoSettings.current()
     import pycolmap
 
     from std_toolkit.options import Refinement
@@ -260,7 +257,6 @@ def adjust(model: Any, found: Sequence[BoardDetection], count: int) -> PosedPhot
         feature_rms_px=float(np.sqrt((squares**2).mean())) if len(squares) else float("nan"),
         scale_deviation=_scale_deviation(poses, found, camera),
         points=points,
-        without_board=tuple(i for i in range(count) if len(found[i].ids) < limits.fewest_corners),
     )
 
 

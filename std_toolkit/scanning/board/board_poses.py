@@ -71,7 +71,7 @@ def pose_photos(
         reach=(plane.min(axis=0), plane.max(axis=0)),
     )  # fmt: skip
     model = build_model(paths, start, placed, uv, pairs, camera)
-    return adjust(model, placed, len(paths))
+    return adjust(model, placed)
 
 
 def _matches(

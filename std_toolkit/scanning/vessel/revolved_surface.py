@@ -59,18 +59,12 @@ class RevolvedSurface:
     outside: float
     warnings: tuple[str, ...] = ()
 
-    def mesh(self, *, hollow: bool = True) -> tuple[Array, NDArray[np.int64]]:
-        """Watertight triangles in the world frame: vertices (V, 3) in metres, faces (F, 3).
-
-        Args:
-            hollow: with the inner wall, open at the top; False: filled up to the rim.
+    def mesh(self) -> tuple[Array, NDArray[np.int64]]:
+        """Watertight triangles, hollow and open at the top: vertices (V, 3) in the world, metres;
+        faces (F, 3).
         """
         outer = np.stack([self.radii, self.heights], axis=1)
-        line = [outer, self._inner() if hollow else np.zeros((0, 2))]
-        profile = np.vstack([[[0.0, 0.0]], *line])
-        if not hollow:
-            profile = np.vstack([profile, [[0.0, self.heights[-1]]]])
-        vertices, faces = _turned(profile)
+        vertices, faces = _turned(np.vstack([[[0.0, 0.0]], outer, self._inner()]))
         return self.T_world_axis @ vertices, faces
 
     def _inner(self) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmark.data.splits import open_split
 from benchmark.data.true_poses import known_boxes, true_poses
-from benchmark.evaluation.tasks.pose_inputs import pose_view
+from benchmark.evaluation.tasks.pose import pose_view
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose import rotation_errors_deg
 from tests.benchmark.evaluation.pose_set import SPLIT, write_pose_split

@@ -7,7 +7,7 @@ import pytest
 
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.poses.colmap import Observations
-from std_toolkit.poses.scale_sources import summarise, weighted_median, z_ratios
+from std_toolkit.poses.scale_sources import summarise, z_ratios
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
 UNIT = 0.37  # metres per unit of the model
@@ -86,12 +86,6 @@ def test_summary_is_robust_and_counts_images_not_points() -> None:
     estimate = summarise("depth", ratios, groups=groups)
     assert estimate.factor == pytest.approx(2.0, rel=0.01)
     assert estimate.standard_error > 5e-4  # 2000 points, but 20 independent errors
-
-
-def test_weighted_median() -> None:
-    values = np.array([3.0, 1.0, 2.0])
-    assert weighted_median(values, np.array([1.0, 1.0, 1.0])) == 2.0
-    assert weighted_median(values, np.array([10.0, 1.0, 1.0])) == 3.0
 
 
 def test_a_hole_among_the_sixteen_pixels_around_leaves_a_point_out() -> None:

@@ -90,12 +90,10 @@ def test_rim_that_only_photos_from_above_show(start_m: float) -> None:
 @pytest.mark.slow
 def test_mesh_is_watertight_and_lies_on_the_vessel(fitted: RevolvedSurface) -> None:
     truth = RayCaster(tumbler().vertices, tumbler().faces)
-    for hollow in (True, False):
-        vertices, faces = fitted.mesh(hollow=hollow)
-        mesh = trimesh.Trimesh(vertices, faces)
-        assert mesh.is_watertight and mesh.volume > 0
-        if hollow:
-            assert np.median(truth.distance(vertices)) < 5e-4
+    vertices, faces = fitted.mesh()
+    mesh = trimesh.Trimesh(vertices, faces)
+    assert mesh.is_watertight and mesh.volume > 0
+    assert np.median(truth.distance(vertices)) < 5e-4
     assert any("base is a guess" in line for line in fitted.warnings)
 
 

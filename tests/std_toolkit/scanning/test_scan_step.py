@@ -149,7 +149,7 @@ def test_features_do_not_change_what_corners_say(tmp_path: Path) -> None:
     pairs = [(a, b, same) for a in poses for b in poses if a < b]
     paths = [tmp_path / f"{k}.jpg" for k in poses]
     start = Camera(640, 480, 603, 602, 320.0, 238.0, (-0.08, 0.0, 1e-3, 0.0))
-    done = adjust(build_model(paths, poses, found, uv, pairs, start), found, len(paths))
+    done = adjust(build_model(paths, poses, found, uv, pairs, start), found)
     assert done.camera.fx == done.camera.fy == pytest.approx(600, abs=2.0)
     assert done.camera.distortion[2:] == (0.0, 0.0)
     off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
@@ -183,7 +183,7 @@ def test_corners_seen_through_glass_do_not_move_the_cameras(tmp_path: Path, feat
     pairs = [(a, b, same) for a in poses for b in poses if a < b] if features else []
     paths = [tmp_path / f"{k}.jpg" for k in poses]
     start = {k: board_pose(found[k], camera)[0].inverse() for k in poses}  # type: ignore[index]
-    done = adjust(build_model(paths, start, found, uv, pairs, camera), found, len(paths))
+    done = adjust(build_model(paths, start, found, uv, pairs, camera), found)
     off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
     assert max(off) < 4e-4
     assert done.camera.fx == pytest.approx(600, abs=0.6)

@@ -57,7 +57,6 @@ class Obstacles:
         visible: (P, 3) those of `fine` that were seen.
         object_of: (P,) number of the connected piece that each of them belongs to.
         middles: (M, 2) middle of each piece on the table.
-        tops: (M,) height of each piece.
     """
 
     fine: Cloud
@@ -65,7 +64,6 @@ class Obstacles:
     visible: Floats
     object_of: NDArray[np.int64]
     middles: Floats
-    tops: Floats
 
 
 def obstacles_of(points: Floats) -> Obstacles:
@@ -86,16 +84,15 @@ def obstacles_of(points: Floats) -> Obstacles:
         count, object_of = connected_components(links, directed=False)
     else:
         count, object_of = 0, np.zeros(0, dtype=np.int32)
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, object_of, visible)
-    np.maximum.at(high, object_of, visible)
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    np.minimum.at(low, object_of, visible[:, :2])
+    np.maximum.at(high, object_of, visible[:, :2])
     return Obstacles(
         fine=Cloud(filled),
         coarse=Cloud(voxel_means(filled, COARSE_M)),
         visible=visible,
         object_of=object_of.astype(np.int64),
-        middles=(low[:, :2] + high[:, :2]) / 2,
-        tops=high[:, 2],
+        middles=(low + high) / 2,
     )
 
 

@@ -162,7 +162,7 @@ def test_every_parameter_and_input_gets_a_gradient():
 
 
 def test_gradients_of_propagation_are_right():
-    propagation = FeaturePropagation(4, (3,), normalised=False).double()
+    propagation = FeaturePropagation(4, (3,)).eval().double()
     known, wanted = _cloud(1, 6).double(), _cloud(1, 9, seed=2).double()
     features = torch.randn(1, 4, 6, dtype=torch.double, requires_grad=True)
     assert torch.autograd.gradcheck(lambda f: propagation(known, f, wanted), features)
