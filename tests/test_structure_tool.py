@@ -116,6 +116,24 @@ def test_no_circles_and_no_arrows_up(structure: ModuleType) -> None:
     assert structure.arrows_up(graph) == []
 
 
+def test_limits_are_settings(structure: ModuleType) -> None:
+    """A number that decides what is accepted stands in a class of `Settings`, with its source."""
+    table = structure.count(REPOSITORY)
+    assert table["limits outside of settings"] == []
+    assert table["limits in settings"] > 300
+
+
+def test_a_limit_outside_of_settings_is_seen(structure: ModuleType, made_up: Path) -> None:
+    path = made_up / "std_toolkit" / "checks" / "f.py"
+    path.parent.mkdir()
+    path.write_text(
+        "_FAR, _NEAR = 3.0, {'glass': 1.0}\n_SIZE = 640\n"
+        "def f(x):\n    return x > 2 * _FAR or x < _NEAR['glass']\n"
+    )
+    names = structure.count(made_up)["limits outside of settings"]
+    assert names == ["std_toolkit.checks.f._FAR", "std_toolkit.checks.f._NEAR"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["import", "check", "std-bench --method raw", "drag", "weights"])
 def test_every_flow_runs(structure: ModuleType, name: str) -> None:

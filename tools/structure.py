@@ -69,6 +69,27 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
 }
 
+# Where limits decide what is accepted. A number that is compared there is a limit, and belongs into
+# a class of `Settings`, except these: sizes of buffers, samples and pictures, formats, numbers that
+# name something, numerical guards, and weights of a fit.
+DECIDING = ("std_toolkit.checks", "std_toolkit.labels", "std_toolkit.poses", "std_toolkit.scanning",
+            "benchmark.tabletop", "annotator.app", "annotator.compare")  # fmt: skip
+NO_LIMITS: dict[str, str] = {
+    "std_toolkit.checks": "_DRAWN_HERE _SERIAL_BELOW _LARGEST_PX NOTHING LARGEST_SAMPLE "
+    "_LARGEST_SAMPLE _PARALLEL _STEPS _BLOCK_FRAMES _CLIMBS _SHOWN_LIMIT_M _REACH_PX MOST_POINTS",
+    "std_toolkit.labels": "_LARGEST_FILE_BYTES AXES _NEAREST_M _MOST_BYTES _SMALLEST_COSINE "
+    "_NEAR_M _STANDS_OUT_M _FEWEST_POINTS _SAME _SIDEWAYS _CLOSE _SAME_WAY _CREASE_COSINE "
+    "_SMALLEST_WINDOW_PX _DISTINCT _MOST_VIEWS _SETTLED_MM _NOTHING _TEXTURE_VIEWS "
+    "_MOST_SAMPLES _FEW_VERTICES _FIRST_RAYS _MOST_HULL_FACETS _KEPT _MANY _CREASE_DEG",
+    "std_toolkit.poses": "PAPER_MM _CELLS _LARGEST_FILE_BYTES _ALL_PAIRS ROBUST_PX _LARGEST_PX "
+    "_NEIGHBOURS",
+    "std_toolkit.scanning": "_SQUARE _MATCHED_DEG _RING _BOARD _BODY _MARGIN _STAIRS _WITHIN_PX "
+    "_LEAST_CONTRAST _FITTED _CONE_M _CONE",
+    "benchmark.tabletop": "TABLE_HALF_M STEP_M BORDER_PX SURFACE OTHER WRONG HOLE",
+    "annotator.app": "MANY_FACES MOST_LINES POINTS_FOR_A_POSE _MARGIN _UPRIGHT",
+    "annotator.compare": "_FAR _ID _SAME_POSE",
+}
+
 # User workflows, as programs that end in the call of `measured`. `ROOT` and `TMP` are defined.
 _SCENE = "from tests.scene_on_disk import write_scene; scene = write_scene(TMP / 'scene')\n"
 _FOLDER = _SCENE + (
@@ -255,6 +276,56 @@ def arrows_up(graph: Mapping[str, set[str]]) -> list[str]:
     ]
 
 
+def limits_of(tree: ast.Module) -> list[str]:
+    """Return the fields that `limit` makes."""
+    return [
+        node.target.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.AnnAssign)
+        and isinstance(node.target, ast.Name)
+        and isinstance(node.value, ast.Call)
+        and ast.unparse(node.value.func) == "limit"
+    ]
+
+
+def numbers_of(tree: ast.Module) -> list[str]:
+    """Return the names of the constants of a module that hold numbers."""
+
+    def is_number(value: ast.expr | None) -> bool:
+        if isinstance(value, ast.Tuple | ast.Dict):
+            parts = value.elts if isinstance(value, ast.Tuple) else value.values
+            return bool(parts) and all(map(is_number, parts))
+        if isinstance(value, ast.BinOp):
+            return is_number(value.left) and is_number(value.right)
+        if isinstance(value, ast.Call):
+            return bool(value.args) and all(map(is_number, value.args))
+        inner = value.operand if isinstance(value, ast.UnaryOp) else value
+        return isinstance(inner, ast.Constant) and type(inner.value) in (int, float)
+
+    found = []
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and is_number(node.value):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found += [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+    return found
+
+
+def limits_outside(name: str, tree: ast.Module) -> list[str]:
+    """Return the numbers that a module of `DECIDING` compares and that are no settings."""
+    where = next((d for d in DECIDING if f"{name}.".startswith(f"{d}.")), None)
+    if where is None:
+        return []
+    compared = {
+        part.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Compare)
+        for part in ast.walk(node)
+        if isinstance(part, ast.Name)
+    }
+    known = NO_LIMITS[where].split()
+    return [f"{name}.{n}" for n in numbers_of(tree) if n in compared and n not in known]
+
+
 def run_flow(program: str, root: Path = ROOT) -> tuple[list[str], int]:
     """Return the repository's files that a program executes, and the number of modules imported."""
     with tempfile.TemporaryDirectory() as folder:
@@ -275,6 +346,7 @@ def count(root: Path = ROOT) -> dict[str, object]:
     lines = {name: code_lines(text) for name, text in texts.items()}
     total, imports = (sum(values) for values in zip(*lines.values(), strict=True))
     graph = import_graph(root)
+    trees = {name: ast.parse(text) for name, text in texts.items()}
     sizes = {name: text.count("\n") for name, text in texts.items()}
     return {
         "code lines": total,
@@ -293,9 +365,14 @@ def count(root: Path = ROOT) -> dict[str, object]:
             and isinstance(node.value.value, ast.Name)
             and node.value.value.id == "args"
             and node.value.attr == node.arg
-            for text in texts.values()
-            for node in ast.walk(ast.parse(text))
+            for tree in trees.values()
+            for node in ast.walk(tree)
         ),
+        "limits in settings": sum(len(limits_of(tree)) for tree in trees.values()),
+        "other numeric constants": sum(len(numbers_of(tree)) for tree in trees.values()),
+        "limits outside of settings": [
+            limit for name, tree in trees.items() for limit in limits_outside(name, tree)
+        ],
         "circles of modules": circles(graph),
         "circles with imports for types": circles(import_graph(root, for_types=True)),
         "circles of folders": circles(folder_graph(graph)),

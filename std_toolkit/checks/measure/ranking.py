@@ -27,7 +27,7 @@ _WIDE_TURNS = np.deg2rad([20, 30, 40, 50, 60, 75, 90])
 # The best of them are improved by small random steps, in a few frames. They count if they remain
 # far from the pose.
 _CLIMBS, _CLIMB, _RIVAL_FRAMES = 4, 75, 4
-_STEP_TURN, _STEP_M, _FAR_TURN = np.deg2rad(8), 0.012, np.deg2rad(12)
+_STEP_TURN, _STEP_M = np.deg2rad(8), 0.012
 
 MOST_FRAMES = 8
 
@@ -49,6 +49,8 @@ class RankSettings(Settings):
     """frames that must tell something"""
     same: float = limit(1.0, unit="cells", source=NOT_RECORDED)
     """poses whose contours differ by less are the same pose to the images"""
+    far_turn: float = limit(np.deg2rad(12), unit="rad", source=NOT_RECORDED)
+    """a rival is turned by more, or its contours differ"""
 
 
 @dataclass(frozen=True)
@@ -293,7 +295,7 @@ def _rival(
     found = [-1.0]
     for start in starts:
         value, change = climb(start)
-        apart = rotation_error(change, SE3.identity(), symmetry) >= _FAR_TURN
+        apart = rotation_error(change, SE3.identity(), symmetry) >= RankSettings.current().far_turn
         if apart and _scores(views, base, surface, change) is not None:
             found.append(value - own)
     return max(found)

@@ -18,9 +18,6 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 Array = NDArray[np.float64]
 # Largest distance of a contact from the plane, relative to the object size, and its lower limit.
 _CONTACT_FLOOR_M = 0.0001
-_SAME_FACET = np.radians(5.0)
-# Rolling over an edge may raise the centre of mass by this fraction of the object size.
-_ROLLING_REACH = np.radians(15.0)
 # An object is a ball if the height of its centre stays constant when tipped by this angle.
 _BALL_TIP = np.radians(4.0)
 
@@ -38,6 +35,10 @@ class RestingSettings(Settings):
     ball: float = limit(0.003, source=NOT_RECORDED)
     """an object is a ball if the height of its centre changes by less than this fraction of the
     size when tipped"""
+    same_facet: float = limit(np.radians(5.0), unit="rad", source=NOT_RECORDED)
+    """facets whose directions differ by less are one"""
+    rolling_reach: float = limit(np.radians(15.0), unit="rad", source=NOT_RECORDED)
+    """facets further apart are not joined by rolling"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +155,7 @@ def _tipping(contacts: Array, normal: Array, height: float) -> float:
 
 def _facet_normal(contacts: Array, normal: Array) -> Array:
     """Normal of the plane fitted to the contacts; `normal` if they are exactly in its plane."""
+    limits = RestingSettings.current()
     centred = contacts - contacts.mean(axis=0)
     if np.abs(centred @ normal).max() < 1e-7:
         return normal
@@ -161,16 +163,17 @@ def _facet_normal(contacts: Array, normal: Array) -> Array:
     fitted = axes[:, 0] if axes[:, 0] @ normal >= 0 else -axes[:, 0]
     # A narrow strip of contacts does not determine the rotation about its axis.
     narrow = scatter[1] < 0.01 * scatter[2]
-    return normal if narrow or _angle(fitted, normal) > _SAME_FACET else fitted
+    return normal if narrow or _angle(fitted, normal) > limits.same_facet else fitted
 
 
 def _merged(down: Array, steady: Array, heights: Array) -> tuple[Array, Array]:
     """Merge facets that differ by a few degrees into the one with the lowest centre of mass."""
+    limits = RestingSettings.current()
     left = list(np.argsort(heights, kind="stable"))
     kept, best = [], []
     while left:
         first = left[0]
-        near = [i for i in left if _angle(down[i], down[first]) < _SAME_FACET]
+        near = [i for i in left if _angle(down[i], down[first]) < limits.same_facet]
         kept.append(first)
         best.append(max(steady[i] for i in near))
         left = [i for i in left if i not in near]
@@ -180,7 +183,7 @@ def _merged(down: Array, steady: Array, heights: Array) -> tuple[Array, Array]:
 def _rolling(hull: Array, down: Array, tolerance_m: float) -> NDArray[np.int64]:
     """Pairs of directions between which the height of the centre of mass stays constant."""
     i, j = np.triu_indices(len(down), 1)
-    near = np.einsum("ij,ij->i", down[i], down[j]) > np.cos(_ROLLING_REACH)
+    near = np.einsum("ij,ij->i", down[i], down[j]) > np.cos(RestingSettings.current().rolling_reach)
     i, j = i[near], j[near]
     if len(i) == 0:
         return np.zeros((0, 2), dtype=np.int64)

@@ -31,8 +31,6 @@ FRAMES, _FIRST_FRAMES, _FIRST_PX = 8, 3, 80.0
 # With more alternatives, such as all turns of a can, the best are found by a first look.
 _MANY, _FOLLOWED = 6, 4
 
-# A turn nearer than this is a matter of refinement: a texture hardly changes by it.
-_NEAR_TURN = np.deg2rad(45)
 
 TextureVerdict = Literal["fits", "turned", "undecided", "ambiguous"]
 
@@ -62,6 +60,8 @@ class TextureSettings(Settings):
     """smallest score at which the pose itself is confirmed"""
     fits_margin: float = limit(0.02, source=NOT_RECORDED)
     """smallest margin over all other turns at which the pose itself is confirmed"""
+    near_turn: float = limit(np.deg2rad(45), unit="rad", source=NOT_RECORDED)
+    """a nearer turn is a matter of refinement: a texture hardly changes by it"""
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,7 @@ def _judge(
     turns: Sequence[Alternative],
 ) -> TextureComparison | None:
     """The comparison in these windows; None if the surface shows no texture in them."""
+    settings = TextureSettings.current()
     pose = obj.T_world_obj
     own = [score_view(w, surface, pose) for w in windows]
     kept = [k for k, s in enumerate(own) if s is not None]
@@ -188,7 +189,7 @@ def _judge(
         alone: TextureVerdict = "fits" if score >= limits.fits_score + per_frame else "undecided"
         return TextureComparison(alone, None, "", score, float("nan"), len(windows))
     best = max(duels, key=lambda d: d.margin)
-    far = [d for d in duels if rotation_error(d.rival.turn, SE3.identity()) > _NEAR_TURN]
+    far = [d for d in duels if rotation_error(d.rival.turn, SE3.identity()) > settings.near_turn]
     verdict: TextureVerdict = "undecided"
     score = limits.turned_score + 1.5 * per_frame + limits.many_score * many
     margin = limits.turned_margin + per_frame + limits.many_margin * many

@@ -30,8 +30,6 @@ Array = NDArray[np.float64]
 
 # Largest error of a start: metres, and fraction of the object's radius.
 _REACH_M, _REACH = 0.05, 0.5
-# From views this far apart edges determine the distance, and with it the sensor depth factor.
-_PARALLAX = np.deg2rad(15)
 _FIXED_FACTOR_STD = 0.001
 # Prior of the depth factor in one view, in which edges cannot correct depth.
 _DEPTH_SAMPLES = 5.0
@@ -55,6 +53,8 @@ class DepthFitSettings(Settings):
     """the same only if its pose explains a smaller fraction of the readings"""
     smallest_explained: float = limit(0.5, source=NOT_RECORDED)
     """a fit that explains a smaller fraction of the readings has not converged"""
+    parallax: float = limit(np.deg2rad(15), unit="rad", source=NOT_RECORDED)
+    """from views this far apart, edges determine the distance, and with it the depth factor"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +240,7 @@ def _finish(
 ) -> DepthFit | None:
     """The pose refined with edges; None if they make it worse."""
     limits = DepthFitSettings.current()
-    around = _apart(views, found) > _PARALLAX
+    around = _apart(views, found) > DepthFitSettings.current().parallax
     if around:
         options = problem.RefineOptions(search_px=24)
     else:
