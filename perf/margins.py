@@ -111,7 +111,7 @@ def main() -> int:
     parser.add_argument("--group", default="", help="only limits whose name begins so")
     parser.add_argument("--every", type=int, default=6, help="take every so many of the faults")
     args = parser.parse_args()
-    found = list(examples(Scene(args.scene), args.every))
+    found = list(examples(Scene.open(args.scene), args.every))
     kept = [e for e in found if e.passes(CheckOptions()) == e.right]
     for example in found:
         if example not in kept:
