@@ -192,7 +192,13 @@ def read_frame_truth(scene: Scene, frame_id: int) -> FrameTruth:
         raise ToolkitError(
             "this frame has no ground truth", path=path, hint="run `std-curate render` first"
         )
-    return documents.read_document(path, FrameTruth)
+    try:
+        return documents.read_document(path, FrameTruth)
+    except ToolkitError as error:
+        hint = "damaged, or of another version of the toolkit: run `std-curate render` again"
+        raise ToolkitError(
+            error.problem, path=path, field=error.field, value=error.value, hint=hint
+        ) from error
 
 
 def read_ground_truth(scene: Scene, frame_id: int) -> GroundTruth:
