@@ -4,21 +4,21 @@ An algorithm keeps its limits in one frozen dataclass in its own module, a subcl
 
     @dataclass(frozen=True, kw_only=True)
     class ContourSettings(Settings):
-        largest_px: float = limit(3.0, unit="px", source="chosen; 0.8 on right labels")
-        '''median distance from the contour to the image edge'''
+        large_offset_mm: float = limit(3.0, unit="mm", source=NOT_RECORDED)
+        '''a larger translation that all frames share brings a warning'''
 
-The algorithm reads them where it decides: `ContourSettings.current().largest_px`. A group of limits
-is named after its module: `checks.gates.contour` for `std_toolkit/checks/gates/contour.py`,
+The algorithm reads them where it decides: `ContourSettings.current().large_offset_mm`. A group of
+limits is named after its module: `checks.gates.contour` for `std_toolkit/checks/gates/contour.py`,
 `benchmark.tabletop.trial` outside `std_toolkit`.
 
 A user changes limits with `--settings FILE` of any command, in TOML:
 
     [checks.gates.contour]
-    largest_px = 2.0
+    large_offset_mm = 2.0
 
-or from Python with `with override(ContourSettings(largest_px=2.0)): ...`. Worker processes get the
-same limits, and results record those that differ from the defaults (`changed`). What the user
-chooses anew for each run is an option of the step, in `std_toolkit.options`.
+or from Python with `with override(ContourSettings(large_offset_mm=2.0)): ...`. Worker processes get
+the same limits, and results record those that differ from the defaults (`changed`). What the user
+chooses for each run is an option of the step, in `std_toolkit.options`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import importlib.util
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -87,8 +88,8 @@ _ACTIVE: dict[type[Settings], Settings] = {}
 def override(*limits: Settings) -> Iterator[None]:
     """Use these limits within the block, in this process and in workers that it starts."""
     before = dict(_ACTIVE)
-    use(limits)
     try:
+        use(limits)
         yield
     finally:
         _ACTIVE.clear()
@@ -106,18 +107,29 @@ def use(limits: Iterable[Settings]) -> None:
         _ACTIVE[type(one)] = one
 
 
+def use_only(limits: Iterable[Settings]) -> None:
+    """Use these limits, and the defaults of all others: a worker may serve several jobs."""
+    _ACTIVE.clear()
+    use(limits)
+
+
 def in_force() -> tuple[Settings, ...]:
     """Return the groups of limits that differ from the defaults, in the order of their names."""
     return tuple(sorted((s for s in _ACTIVE.values() if s != type(s)()), key=lambda one: one.group))
 
 
-def changed() -> dict[str, float]:
+def changed(*prefixes: str) -> dict[str, float]:
     """Return the limits that differ from the defaults, by "GROUP.FIELD"; results record them.
 
     Numbers of a tuple and of a mapping are named "GROUP.FIELD.INDEX" and "GROUP.FIELD.KEY".
+
+    Args:
+        prefixes: only limits whose names begin so, such as "poses."; none for all.
     """
     found = {}
     for one in in_force():
+        if prefixes and not one.group.startswith(prefixes):
+            continue
         default = type(one)()
         for field in dataclasses.fields(one):
             usual = dict(_numbers(getattr(default, field.name)))
@@ -147,8 +159,11 @@ def read_settings(path: Path) -> tuple[Settings, ...]:
         if path.stat().st_size > _LARGEST_FILE_BYTES:
             raise ToolkitError("the file of settings is too large", path=path)
         tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise ToolkitError(f"cannot be read: {error.strerror}", path=path) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ToolkitError(f"no TOML: {error}", path=path) from error
+        hint = "`std-curate settings` prints such a file"
+        raise ToolkitError(f"no TOML: {error}", path=path, hint=hint) from error
     return tuple(_from_table(name, table, path) for name, table in _groups(tables))
 
 
@@ -233,15 +248,18 @@ def _as_default(default: Any, value: Any, path: Path, field: str) -> Any:
         parts = {k: _as_default(default[k], v, path, f"{field}.{k}") for k, v in value.items()}
         return {**default, **parts}
     number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = number and math.isfinite(value)
     if isinstance(default, bool):
         if not isinstance(value, bool):
             raise refuse("true or false")
         return value
+    if number and value < 0 <= default:
+        raise refuse("a number of at least 0")
     if isinstance(default, int):
         if not number or value != int(value):
             raise refuse("a whole number")
         return int(value)
-    if not number or value != value or abs(value) == float("inf"):
+    if not number:
         raise refuse("a finite number")
     return float(value)
 

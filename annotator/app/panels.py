@@ -10,9 +10,20 @@ import numpy as np
 
 from annotator.app.controller import Controller
 from annotator.app.verdicts import Grade, depth_grade, edge_grade, object_verdict
+from std_toolkit.settings import Settings, limit
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClickSettings(Settings):
+    """Residuals at which a click is good or bad."""
+
+    good_px: float = limit(2.0, unit="px", source="careful clicks have an error of about a pixel")
+    """a residual below is good"""
+    bad_px: float = limit(5.0, unit="px", source="a much larger residual is a wrong click")
+    """a residual above is bad"""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Number of images compared in addition to those of labelled frames.
 _SPREAD_IMAGES = 8
-# Relative difference of focal lengths that affects positions along the viewing ray.
+# Poses that differ by less are equal.
 _SAME_POSE = 1e-9
 
 

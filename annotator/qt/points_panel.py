@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from PySide6 import QtWidgets
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QColor, QShowEvent
 
 from annotator.app.controller import Controller
-from annotator.app.panels import ClickRow, click_rows
+from annotator.app.panels import ClickRow, ClickSettings, click_rows
 from annotator.qt import theme
 from annotator.qt.commands import Commands
 from annotator.qt.panel import Panel, label, number_table, tool_button
@@ -19,22 +17,11 @@ from annotator.session import ChangeClick, Click
 from annotator.views import ModelView
 from annotator.views.mesh_picker import MeshPicker
 from annotator.views.meshes import ShapeStore
-from std_toolkit.settings import Settings, limit
 
 _EMPTY = (
     "No points yet.\n\nClick a point on the mesh above, then the same point in the image. "
     "Four or more points give the pose; spread them over the object."
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClickSettings(Settings):
-    """Residuals at which a click is good or bad."""
-
-    good_px: float = limit(2.0, unit="px", source="careful clicks have an error of about a pixel")
-    """a residual below is good"""
-    bad_px: float = limit(5.0, unit="px", source="a much larger residual is a wrong click")
-    """a residual above is bad"""
 
 
 class PointsPanel(Panel):

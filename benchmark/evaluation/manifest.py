@@ -161,8 +161,10 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             preset, a restorer and its options, or the name of a folder.
         depth_folder: folder of saved depth; otherwise empty.
         precision, compile, device: options of networks; device is its type, `cpu` or `cuda`.
+        limits: limits that differ from the defaults, see `std_toolkit.settings.changed`.
     """
 
+    limits: dict[str, float] = {}
     seed: int
     attempts: int
     camera: Name
@@ -255,7 +257,7 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth_weights_sha256: str
     depth_folder: str
     as_input: bool
-    given_truth: bool = False
+    given_truth: bool
 
 
 class PoseManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):

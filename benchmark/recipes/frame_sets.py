@@ -21,6 +21,7 @@ from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.runner import die_with_parent
 from std_toolkit.log import log_to_stderr, logger
+from std_toolkit.settings import Settings, in_force, use_only
 
 if TYPE_CHECKING:
     from sensors.simulation.options import SimulationOptions
@@ -127,7 +128,9 @@ class FrameSet:
         # In a process of its own: the tracer's libraries stay out of this one, which is going to
         # load torch.
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context, initializer=_prepare) as pool:
+        with ProcessPoolExecutor(
+            1, mp_context=context, initializer=_prepare, initargs=(in_force(),)
+        ) as pool:
             try:
                 failed = pool.submit(_simulate, self, jobs).result()
             except BrokenProcessPool as error:
@@ -139,7 +142,8 @@ class FrameSet:
         return {f"scene {key}": error for key, error in failed.items()}
 
 
-def _prepare() -> None:
+def _prepare(limits: Sequence[Settings]) -> None:
+    use_only(limits)
     log_to_stderr(logging.INFO)
     # A killed recipe must not go on simulating beside the one that is started next.
     die_with_parent()

@@ -25,7 +25,7 @@ _TURNS, _TILTS = 12, (0.0, 0.35)
 _TRIED = 50
 # Clearance between object and open finger on each side.
 _ROOM_M = 0.008
-# Cosine of the largest angle between the closing direction and the normal at a contact.
+# Depths of the tips beyond the contacts that are tried.
 _DEPTHS_M = (0.035, 0.02, 0.01)
 
 

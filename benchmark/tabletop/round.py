@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 
 MOST_ATTEMPTS = 10
 NO_GRASP = "no-grasp"
-# Clearance of the gripper above the table.
 _LONGEST_REST_S = 4.0
 
 

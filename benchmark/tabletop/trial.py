@@ -31,7 +31,7 @@ PAD_FRICTION = (0.8, 0.005, 0.0001)
 # An arm with a collision reflex stops at about this.
 PUSH_N = 40.0
 
-# A guarded move stops at this force of contact, and backs off by this way.
+# A guarded move backs off by this way.
 BACK_OFF_M = 0.006
 
 # Servo of the carriage: N/m and N s/m, critically damped for hand and armature together.

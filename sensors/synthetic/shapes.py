@@ -182,7 +182,7 @@ def label_texture(
     Args:
         base: background colour.
         marks: number of shapes and words.
-        contrast: 1 textures in any colour, 0 in the background's.
+        contrast: 1: marks of any colour, 0: of the background's.
         mark_size: extent of the marks as a fraction of the shorter side.
     """
     image = np.empty((height, width, 3), np.uint8)

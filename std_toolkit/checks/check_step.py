@@ -109,7 +109,13 @@ def run_check(
             "gates": " ".join(gate.key for gate in all_gates()),
             "version of plotly": version("plotly"),
         }
-        artefact = Artefact(scene.root, STEP, inputs | _files(scene, frames), asdict(options))
+        artefact = Artefact(
+            scene.root,
+            STEP,
+            inputs | _files(scene, frames),
+            asdict(options),
+            limits=("checks.", "labels."),
+        )
         if artefact.is_kept():
             return read_document(scene.root / FOLDER / "report.json", result.CheckReport)
         with ArrayFile(scene.root / ".std") as arrays:

@@ -137,15 +137,15 @@ class Program:
         options, common = parse_options(_load(command.options), words, self._title(command))
         log_to_stderr(logging.WARNING if common.quiet else logging.INFO)
 
-        def run() -> int:
-            if common.limits is not None:
-                from std_toolkit.settings import read_settings, use
+        if common.limits is not None:
+            from std_toolkit.settings import read_settings, use
 
+            try:
                 use(read_settings(common.limits))
-            return _load(command.run)(options) or 0
-
+            except ToolkitError as error:
+                raise UsageError(str(error)) from error
         return exit_status(
-            run,
+            lambda: _load(command.run)(options) or 0,
             program=self.name,
             debug=common.debug,
             on_interrupt=self.on_interrupt,

@@ -144,6 +144,8 @@ def get_exporter(name: str, settings: Sequence[str] = ()) -> Exporter:
     std_toolkit.errors.ToolkitError: --set: the exporter has no settings (got 'nocs')
     """
     exporter = EXPORTERS.get(name)
+    if isinstance(exporter, type):  # `FILE.py:Class`
+        exporter = exporter()
     if not settings:
         return exporter
     if not is_dataclass(exporter):

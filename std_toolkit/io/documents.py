@@ -16,7 +16,6 @@ import msgspec
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.settings import changed
 
 T = TypeVar("T")
 
@@ -130,9 +129,9 @@ def digest_of(*parts: Any, versioned: bool = True) -> str:
 
     Args:
         parts: the values.
-        versioned: include the version of the toolkit, and its limits that differ from the defaults.
+        versioned: include the version of the toolkit.
     """
-    tool = [__version__, changed()] if versioned else []
+    tool = [__version__] if versioned else []
     encoded = msgspec.json.encode([tool, *parts], order="sorted")
     return hashlib.blake2b(encoded, digest_size=16).hexdigest()
 

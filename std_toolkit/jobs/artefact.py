@@ -62,19 +62,24 @@ class Artefact:
         root: folder that paths of outputs are relative to.
         name: what it is called in messages and in its record.
         inputs: digest of the content by name; a changed name is a change, too.
-        options: plain values that determine the result; limits that a file of settings changes
-            count as well.
+        options: plain values that determine the result.
+        limits: groups of limits that decide it, such as "poses."; those that a file of settings
+            changes count as options.
     """
 
     root: Path
     name: str
     inputs: Mapping[str, str]
     options: Mapping[str, Any] = field(default_factory=dict)
+    limits: tuple[str, ...] = ()
 
     @property
     def digest(self) -> str:
         """Digest of everything that determines the result, version and limits included."""
-        return digest_of(self.name, self.inputs, self.options)
+        return digest_of(self.name, self.inputs, self.options, self._limits())
+
+    def _limits(self) -> dict[str, float]:
+        return changed(*self.limits) if self.limits else {}
 
     def record(self, outputs: Iterable[Path] = ()) -> Record:
         """The record of the finished files, whose content is read."""
@@ -82,7 +87,7 @@ class Artefact:
             name=self.name,
             version=__version__,
             inputs=dict(self.inputs),
-            options=msgspec.json.decode(msgspec.json.encode({**self.options, **changed()})),
+            options=msgspec.json.decode(msgspec.json.encode({**self.options, **self._limits()})),
             outputs={p.relative_to(self.root).as_posix(): digest_file(p) for p in sorted(outputs)},
         )
 
@@ -137,7 +142,7 @@ class Artefact:
             return f"it was made by version {then.version}"
         found = [f"the {name} changed" for name in differences(then.inputs, now.inputs)]
         found += [
-            f"{name} was {then.options.get(name)!r}"
+            f"{name} was {then.options.get(name, 'the default')!r}"
             for name in differences(then.options, now.options)
         ]
         found = found or changed_files(self.root, then.outputs)

@@ -37,7 +37,7 @@ from std_toolkit.jobs.options import (
     worker_died,
 )
 from std_toolkit.log import logger
-from std_toolkit.settings import in_force, use
+from std_toolkit.settings import in_force, use_only
 
 Call = Callable[[Any], Outcome[Any]]
 
@@ -179,7 +179,7 @@ class _Guarded(Generic[Item, Result]):
         self.limits = in_force()
 
     def __call__(self, item: Item) -> Outcome[Result]:
-        use(self.limits)
+        use_only(self.limits)
         try:
             return Outcome(result=self.fn(item))
         except (KeyboardInterrupt, GeneratorExit):

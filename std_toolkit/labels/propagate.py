@@ -192,7 +192,7 @@ def _artefact(
         "cameras": digest_of(scene.info, scene.frame_table),
         "camera poses": digest_of(scene.poses),
     }
-    return Artefact(scene.root, STEP, inputs, vars(options))
+    return Artefact(scene.root, STEP, inputs, vars(options), limits=("labels.",))
 
 
 @dataclass(frozen=True, eq=False)

@@ -269,7 +269,7 @@ def _artefact(
         for k, v in vars(options).items()
         if k in (*MODEL_OPTIONS, "scale") or k.startswith(("min_", "max_"))
     }
-    return Artefact(scene.root, STEP, inputs, values)
+    return Artefact(scene.root, STEP, inputs, values, limits=("poses.", "labels."))
 
 
 def pose_gates(

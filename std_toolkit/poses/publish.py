@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 
 from std_toolkit.io.atomic import atomic_path, sweep_temporaries
-from std_toolkit.io.documents import digest_files, read_document, write_document
-from std_toolkit.jobs.artefact import Record, changed_files, record_path
+from std_toolkit.io.documents import digest_files, write_document
+from std_toolkit.jobs.artefact import Record, changed_files, read_record, record_path
 from std_toolkit.poses.colmap import quiet_colmap
 from std_toolkit.scene.model import FramePose, ScaleReport, pose_from_list
 from std_toolkit.scene.scene import Scene
@@ -109,8 +109,10 @@ def _intact_records(root: Path) -> list[tuple[Path, Record]]:
     """Records of the steps that wrote poses.json and whose outputs have not changed since."""
     found = []
     for path in sorted(record_path(root, "x").parent.glob("*.json")):
-        record = read_document(path, Record)
-        if "poses.json" in record.outputs and not changed_files(root, record.outputs):
+        record = read_record(path, Record)
+        if record is None or "poses.json" not in record.outputs:
+            continue
+        if not changed_files(root, record.outputs):
             found.append((path, record))
     return found
 

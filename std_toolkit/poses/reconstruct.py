@@ -35,6 +35,7 @@ from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
 from std_toolkit.poses.small_sets import map_small_set, rank_model
 from std_toolkit.scene import CameraModel, Frame, Scene
 from std_toolkit.scene.model import Document
+from std_toolkit.settings import changed
 
 # Options that change the model; the other options affect only scale and gates.
 MODEL_OPTIONS = (
@@ -116,7 +117,7 @@ def model_digest(scene: Scene, digests: dict[int, str], options: PoseOptions) ->
     """
     frames = [[f.id, f.name, f.color, f.camera, digests[f.id]] for f in scene.frames]
     chosen = {name: getattr(options, name) for name in MODEL_OPTIONS}
-    return digest_of("model", frames, scene.info.cameras, chosen)
+    return digest_of("model", frames, scene.info.cameras, chosen, changed("poses."))
 
 
 def image_digests(scene: Scene) -> dict[int, str]:

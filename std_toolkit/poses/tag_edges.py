@@ -26,9 +26,7 @@ _REACH_CELLS, _REACH_PX, _STEP_PX = 0.8, 5.0, 0.2
 _SMALLEST_REACH_PX = 1.5
 # Cells of an AprilTag of the family 36h11 across; families with fewer have larger ones.
 _CELLS = 8
-# Grey values per pixel below which there is no edge.
 _MOST_SAMPLES = 60
-# A place further from the line of its edge, or a corner that moves further, is something else.
 _ROUNDS = 2
 
 

@@ -12,6 +12,9 @@ from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import KnownCameras
 
+# Groups of limits that decide a scan.
+LIMITS = ("scanning.", "poses.")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions:

@@ -20,7 +20,7 @@ from std_toolkit.scanning.masks.object_masks import both_positions, object_masks
 from std_toolkit.scanning.model.bake import bake_texture
 from std_toolkit.scanning.model.model_frame import find_symmetry, model_frame, write_symmetry
 from std_toolkit.scanning.model.write_model import Scan, write_model
-from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos import photos as photo_files
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.video import is_video, sample_video
@@ -190,7 +190,7 @@ def _joined(
         }
 
     inputs = {"first side": first.digest, "flipped side": second.digest}
-    a = Artefact(work, "turn", inputs, {"format": 5}).arrays(make)
+    a = Artefact(work, "turn", inputs, {"format": 5}, limits=LIMITS).arrays(make)
     lap("turn")
     posed.facts.update({f"{k} of the flipped": v for k, v in over.facts.items()})
     posed.facts.update({str(k): str(v) for k, v in a["facts"]})
@@ -254,6 +254,7 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
         {"photos": inputs, "board": digest_file(options.board)},
         {"intrinsics": options.intrinsics, "max_features": options.max_features,
          "size": found.factor, "photos": kept, "format": 4},
+        LIMITS,
     )  # fmt: skip
 
     def make() -> dict[str, Any]:

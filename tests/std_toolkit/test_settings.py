@@ -29,6 +29,15 @@ def test_a_file_changes_a_limit(tmp_path: Path) -> None:
     assert changed() == {}
 
 
+def test_a_refused_override_changes_nothing() -> None:
+    class Bad:
+        pass
+
+    with pytest.raises(TypeError), override(TextureSettings(clarity=0.25), Bad()):  # type: ignore[arg-type]
+        pass
+    assert changed() == {}
+
+
 def test_workers_have_the_same_limits() -> None:
     with override(TextureSettings(clarity=0.25)):
         report = run_jobs(clarity, [1, 2], name="limits", options=JobOptions(workers=2))
@@ -42,6 +51,9 @@ def test_workers_have_the_same_limits() -> None:
         ("[labels.texture.comparison]\nclarity = '1'", "expected a finite number"),
         ("[labels.texture.comparison]\nclarity = nan", "expected a finite number"),
         ("[labels.texture.comparison]\nclarity = true", "expected a finite number"),
+        ("[labels.texture.comparison]\nclarity = -1", "at least 0"),
+        ("[labels.support.evidence]\nfewest_points = inf", "expected a whole number"),
+        ("[labels.support.evidence]\nfewest_points = 1.5", "expected a whole number"),
         ("[labels.texture.nothing]\nclarity = 1", "no group of settings"),
         ("[os]\nname = 1", "no group of settings"),
         ("clarity = 1", "no group of settings"),
@@ -61,7 +73,7 @@ def test_a_wrong_file_is_one_line(tmp_path: Path, text: str, words: str) -> None
 def test_a_command_refuses_a_wrong_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "limits.toml"
     file.write_text("[labels.texture.comparison]\nclearness = 1")
-    assert main(["settings", "--settings", str(file)]) == 1
+    assert main(["settings", "--settings", str(file)]) == 2
     assert "labels.texture.comparison.clearness" in capsys.readouterr().err
 
 

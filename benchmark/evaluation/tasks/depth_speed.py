@@ -19,6 +19,7 @@ from benchmark.evaluation.manifest import hardware
 from benchmark.methods.protocol import Restorer, View
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
+from std_toolkit.settings import in_force, use_only
 
 SPEED = "speed.json"
 
@@ -126,7 +127,9 @@ def speed_of(run: FrameRun[Restorer], protocol: str) -> Speed:
         ToolkitError: no frame can be read, or the method fails on it.
     """
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as pool:
+    with ProcessPoolExecutor(
+        1, mp_context=context, initializer=use_only, initargs=(in_force(),)
+    ) as pool:
         try:
             return pool.submit(_speed_here, run, protocol).result()
         except BrokenProcessPool as error:

@@ -31,6 +31,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
+from std_toolkit.settings import changed
 
 if TYPE_CHECKING:
     from sensors.assets import AssetSource
@@ -149,6 +150,7 @@ class GraspRun(TaskRun[None, Methods]):
         # Precision, compile and device are the same for both.
         network = depth if self.depth.is_restored else planner
         setup = GraspSetup(
+            limits=changed(),
             seed=self.seed,
             attempts=self.attempts,
             camera=self.camera,

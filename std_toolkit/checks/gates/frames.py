@@ -30,12 +30,6 @@ from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Margin: share of the contour on image edges, minus that of displaced contours. A label fits above
-# the first part of the margin that is usual for the object, and does not fit below the second.
-# A witness fits in at least this many frames and this share of them, with this margin.
-# Where a camera pose is wrong, nearly all witnesses do not fit.
-# Frames in a row without a fit: at least this number, and this share of all; a hand in front of an
-# object hides it for a moment. The part of single frames that may contradict a motion.
 # Names of frames in a row of the report.
 _MOST_NAMES = 4
 

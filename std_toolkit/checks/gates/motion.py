@@ -18,8 +18,6 @@ from std_toolkit.checks.result import CheckWarning, ObjectCheck
 from std_toolkit.options import CheckOptions
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Motions below these are not worth a warning.
-# Contours further from the image than this differ in shape.
 _REFINE = "run `std-curate propagate --refine`, or correct the label in the annotator"
 
 

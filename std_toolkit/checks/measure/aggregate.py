@@ -26,7 +26,6 @@ from std_toolkit.checks.measure.sensor_depth import (
 from std_toolkit.scene import Label, Object, Scene
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Outlines that determine the shift of depth in one frame.
 MATERIAL_ORDER = ("raw", "diffuse", "specular", "transparent")
 
 

@@ -33,7 +33,6 @@ _EDGES_PER_POINT = 4
 _UNKNOWNS = 7
 # Errors of neighbouring contour points are correlated: one independent sample per 60 px.
 INDEPENDENT_PX = 60.0
-# Displaced contours differ by less than this for other reasons than noise.
 _CHANCE_SHIFTS_PX = np.array([-10, -8, -6, -4.5, 4.5, 6, 8, 10])
 
 

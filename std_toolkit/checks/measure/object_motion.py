@@ -28,13 +28,6 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _Equations = MotionEquations | FiledEquations
 
-# Smaller differences in size are not worth a warning, and do not pull the motion with them.
-# Support of all frames together that confirms a label which few frames confirm alone: deviations
-# above chance, and the part of what chance leaves. Right labels on glass reach 0.43, the mesh of
-# another object 0.37.
-# The same for motions, px.
-# Together with the size, such an error can look like a rotation.
-
 
 @dataclass(frozen=True, kw_only=True)
 class ConfirmationSettings(Settings):

@@ -30,7 +30,6 @@ _SHOWN_LIMIT_M = 0.1
 _BINS = round(2 * HISTOGRAM_LIMIT_M / HISTOGRAM_BIN_M)
 _REACH_PX = 14.0
 _STEP_PX = 0.5
-# Fraction of a profile that agrees with one boundary.
 _LARGEST_SAMPLE = 300
 
 

@@ -363,7 +363,6 @@ def weakest_direction(
     return f"least determined: {what} {words}object axis ({axis_text}), standard deviation {amount}"
 
 
-# A direction within this angle of another is named by it.
 _PLAIN_WORDS = {"shift": "along ", "turn": "about "}
 _WEAK = re.compile(r"(?P<what>shift|turn) (?P<words>[^(]*)object axis \((?P<axis>[^)]*)\)")
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
-# Largest distance of a contact from the plane, relative to the object size, and its lower limit.
+# Lower limit of the distance of a contact from the plane.
 _CONTACT_FLOOR_M = 0.0001
 # An object is a ball if the height of its centre stays constant when tipped by this angle.
 _BALL_TIP = np.radians(4.0)

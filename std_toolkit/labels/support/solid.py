@@ -27,7 +27,6 @@ _FEWEST_SAMPLES, _MOST_SAMPLES = 2000, 16000
 _FEW_VERTICES = 500
 # Odd numbers of rays, in directions that are not axes of typical meshes.
 _RAYS, _FIRST_RAYS = 11, 3
-# A mesh with a gap larger than this fraction of its diagonal is a sheet.
 _MOST_HULL_FACETS = 1400
 _KEPT = 64
 

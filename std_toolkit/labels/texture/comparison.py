@@ -166,7 +166,6 @@ def _judge(
     turns: Sequence[Alternative],
 ) -> TextureComparison | None:
     """The comparison in these windows; None if the surface shows no texture in them."""
-    settings = TextureSettings.current()
     pose = obj.T_world_obj
     own = [score_view(w, surface, pose) for w in windows]
     kept = [k for k, s in enumerate(own) if s is not None]
@@ -189,7 +188,7 @@ def _judge(
         alone: TextureVerdict = "fits" if score >= limits.fits_score + per_frame else "undecided"
         return TextureComparison(alone, None, "", score, float("nan"), len(windows))
     best = max(duels, key=lambda d: d.margin)
-    far = [d for d in duels if rotation_error(d.rival.turn, SE3.identity()) > settings.near_turn]
+    far = [d for d in duels if rotation_error(d.rival.turn, SE3.identity()) > limits.near_turn]
     verdict: TextureVerdict = "undecided"
     score = limits.turned_score + 1.5 * per_frame + limits.many_score * many
     margin = limits.turned_margin + per_frame + limits.many_margin * many

@@ -20,7 +20,6 @@ from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.scanning.board.board_photos import BoardPhotoSettings
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# A feature that no pose by the board explains within this is not at rest relative to the board.
 _MOST_TRACKS = 15_000
 # A corner, the meeting of two fitted edges, is about a fifth as far off as a feature: its square
 # counts as that of many.

@@ -15,7 +15,6 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import Array, View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Photos from directions within this angle see the same features.
 # Features of one object lie in a box with this margin.
 _MARGIN_M = 0.005
 

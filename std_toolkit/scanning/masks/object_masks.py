@@ -18,7 +18,7 @@ from std_toolkit.scanning.board.object_checks import check_opaque
 from std_toolkit.scanning.masks import candidates as standing
 from std_toolkit.scanning.masks.masks import dilated, segment_by_border
 from std_toolkit.scanning.masks.proven_masks import segment_on_table
-from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
 
@@ -43,7 +43,7 @@ def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: 
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
     values = {"pick": options.pick, "box": options.box, "format": 13}
-    artefact = Artefact(work, "masks", {"poses": posed.digest}, values)
+    artefact = Artefact(work, "masks", {"poses": posed.digest}, values, limits=LIMITS)
 
     def make() -> dict[str, Any]:
         if not posed.on_table:

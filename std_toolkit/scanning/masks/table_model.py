@@ -18,13 +18,10 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _CELL_M = 0.001
 _MOST_CELLS = 250_000
-# Spreads of the table's own colour by which a photo may differ from it, and the limits of this
-# width in grey values; what differs by twice the width is something else. A wide width takes white
-# texture of an object for white paper behind it.
+# Spreads of the table's own colour by which a photo may differ from it; what differs by twice
+# this width is something else.
 _WIDTHS = 2.0
-# Rings of cells by which the table is continued under the object, their width, the difference from
-# the colour beside them, the share of the photos that must show it, and their difference from each
-# other in parts of the usual spread.
+# Rings of cells by which the table is continued under the object, and their width.
 _RINGS, _RING = 16, 4
 # Share of the cells from which the board is compared instead of all of them.
 _BOARD = 0.2

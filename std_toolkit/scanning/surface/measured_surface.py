@@ -21,7 +21,7 @@ from std_toolkit.io.documents import digest_of
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.scanning.masks.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.masks.masks import covered, volume_of_masks
-from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
 from std_toolkit.scanning.surface.depth_maps import DepthEngine, DepthMap
@@ -113,7 +113,7 @@ def measure_side(
     lap("hull")
     values = {name: getattr(options, name) for name in ("voxels", "neighbours", "depth")}
     inputs = {"poses": posed.digest, "masks": _mask_digest(views)}
-    artefact = Artefact(work, "depth", inputs, values | {"format": 2})
+    artefact = Artefact(work, "depth", inputs, values | {"format": 2}, limits=LIMITS)
     looked = views if disputed is hull else _with_disputed(views, disputed, grid, threads)
     maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, artefact, threads)
     sensor = _sensor(posed, views, hull, grid, threads)

@@ -27,8 +27,7 @@ _STEPS = 4
 # Points along a side of a patch, one pixel apart in the nearest photo.
 _SIDE = 9
 _PHOTOS = 5
-# Mean correlation of pairs of photos, and how much lower it is at the ends of the search: from
-# where on it counts, and where it counts fully.
+# Drop of the correlation towards the ends of the search from which it counts fully.
 _CLEAR_DROP = 0.1
 # Standard deviation of grey values, below which a patch is plain.
 _LEAST_CONTRAST = 3.0

@@ -22,9 +22,9 @@ from std_toolkit.scanning.masks.masks import covered, eroded
 from std_toolkit.scanning.photos.views import Grid, Mask, View, in_threads
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Weight of the depth measurements of a surface that is sure, and voxels of the change beside it.
+# Voxels of the change beside a surface that is sure.
 _EDGE = 3
-# Photos that judge a lower top, and share of its pixels that outlines may lose by it.
+# Photos that judge a lower top.
 _PHOTOS = 16
 
 

@@ -24,8 +24,7 @@ _COST = 0.3
 _CONTRAST = 3.0
 # Standard deviation of the smoothing before normals, pixels.
 _SMOOTH = 2.0
-# Pixels of the board that the factor needs, and the share of the image's width that is left out
-# around objects, where sensors smear depth.
+# Share of the image's width that is left out around objects, where sensors smear depth.
 _APART = 0.02
 
 

@@ -28,7 +28,7 @@ from std_toolkit.scanning.surface.hull_coherence import HullCoherence
 from std_toolkit.scanning.surface.measured_surface import Side, Surface
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-# Places on the object, apart by this share of it, that a motion by features needs.
+# Features of a photo that are matched.
 _FEATURES = 600
 # Turns that are looked at without texture, and the best of them that are fitted to the outlines.
 _TURNS, _FITTED = 1500, 12

@@ -33,7 +33,6 @@ _RIM_PX = 4.0
 _BESIDE_PX = 4
 # Steps of a pixel along the search, and points along the outline that are averaged.
 _STEP, _TOGETHER = 0.5, 5
-# Evidence of a rough profile below which nothing is found, and share of the outline that must show.
 # Height of a vessel and its radius, in sizes of the board.
 _TALLEST, _WIDEST = 1.3, 0.42
 _HINT = (

@@ -39,9 +39,8 @@ _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS = 0.001, 40, 260
 _ROUNDS = 6
 
 
-# Residuals beyond this many deviations count less; those beyond the last are no outline of it.
-# Points that were searched for from within a vessel, whose inside differs from the table, too, are
-# rather within its outline than beside it.
+# Residuals beyond this many deviations count less. Points that were searched for from within a
+# vessel, whose inside differs from the table, too, are rather within its outline than beside it.
 _HUBER, _HUBER_WITHIN = 2.0, 0.5
 
 # The profile bends by this much over a step, as a deviation; corners are kept by a robust weight.
@@ -54,7 +53,7 @@ _AT_RIM = 3
 _TILT_RAD = np.deg2rad(0.4)
 
 
-# Height of the cone above the rim, its slope in parts of that of the rays, and rays over the rim.
+# Height of the cone above the rim, and its slope in parts of that of the rays.
 _CONE_M, _CONE = 0.003, 0.6
 
 # A wall that no photo shows is taken as this.

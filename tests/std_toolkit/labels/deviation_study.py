@@ -41,7 +41,7 @@ class Row:
     Attributes:
         z: errors in units of the reported deviations, one per direction (5 or 6).
         mm, deg: error of the centre and of the rotation, symmetry aware.
-        printed: whether the mesh has a texture.
+        textured: whether the mesh has a texture.
         std_mm, std_deg: reported deviations along the weakest directions.
     """
 
@@ -84,7 +84,7 @@ def study(
         recording: folder of the recording.
         scene_root: folder of the scene to make.
         seed: of the faults and starts; selects the kinds of faults, too.
-        printed: options of the recording, to give opaque meshes their textures; None leaves them
+        textured: options of the recording, to give opaque meshes their textures; None leaves them
             plain. A mesh with a texture has no symmetry.
         propagated: annotate the starts in the first frame, propagate them with `refine` and read
             labels.json; else refine them at once. For plain meshes.

@@ -29,7 +29,7 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
-# Longer side of the object in the pictures that are matched, pixels, and the smallest used.
+# Longer side of the object in the pictures that are matched, pixels.
 _LONGEST_PX = 300.0
 
 # Rounds of matching: the reach in parts of the object's size, and the number of views.
