@@ -1,4 +1,4 @@
-"""`std-bench --task grasp`: refused input, resumed and parallel runs, the report."""
+"""`std-bench grasp`: refused input, resumed and parallel runs, the report."""
 
 import json
 
@@ -13,7 +13,7 @@ from benchmark.evaluation.depth_choice import DepthChoice
 from benchmark.evaluation.tasks.grasp import GraspRun
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
 
-GRASP = ["--task", "grasp", "--depth", "gt"]
+GRASP = ["grasp", "--depth", "gt"]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ def test_the_shipped_network_finds_grasps_that_hold_without_any_option(tmp_path:
     """With true depth it holds 3 of 4 attempts there."""
     for module in ("torch", "mujoco", "coacd"):
         pytest.importorskip(module)
-    words = ["--task", "grasp", "--planner", "graspnet", "--depth", "gt", "--rounds", "1"]
+    words = ["grasp", "--planner", "graspnet", "--depth", "gt", "--rounds", "1"]
     words += ["--attempts", "4", "--seed", "0", "--no-gallery", "--workers", "1"]
     assert main([*words, "--out", str(tmp_path)]) == 0
     folder = GraspRun(

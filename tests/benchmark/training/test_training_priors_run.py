@@ -90,7 +90,7 @@ def test_from_training_to_the_table_of_poses(method, data, pack, priors, tmp_pat
     assert same(first, second)
     assert "prior" in first, "weights hold the priors that they were trained with"
 
-    words = ["--task", "pose", *options(method, priors), "masks=true", "--weights"]
+    words = ["pose", *options(method, priors), "masks=true", "--weights"]
     words += [str(run / "best.safetensors"), "--data", str(data), "--split", SPLIT]
     words += ["--depth", "gt", "--limit", "2", "--engine", "serial", "--no-gallery"]
     capsys.readouterr()

@@ -142,7 +142,7 @@ def test_another_configuration_is_refused_with_all_that_differs(pack, tmp_path):
     told = str(error.value)
     for part in (
         "seed: 0 then, 1 now",
-        "optimization.learning_rate: 0.001 then, 0.5 now",
+        "optimization.learning_rate: this training was begun with 0.001 (got 0.5)",
         "loss.smoothness: None then, '0.2' now",
     ):
         assert part in told
