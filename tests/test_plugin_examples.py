@@ -143,7 +143,14 @@ def test_a_recording_is_imported(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["pose-lines", f"{FOLDER}/my_plugins/curation.py:POSE_LINES"])
+@pytest.mark.parametrize(
+    "place",
+    [
+        "pose-lines",
+        f"{FOLDER}/my_plugins/curation.py:POSE_LINES",
+        f"{FOLDER}/my_plugins/curation.py:PoseLines",
+    ],
+)
 def test_an_exporter_has_an_option_of_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str
 ) -> None:

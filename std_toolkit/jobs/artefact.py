@@ -142,7 +142,7 @@ class Artefact:
             return f"it was made by version {then.version}"
         found = [f"the {name} changed" for name in differences(then.inputs, now.inputs)]
         found += [
-            f"{name} was {then.options.get(name, 'the default')!r}"
+            f"{name} was {repr(then.options[name]) if name in then.options else 'the default'}"
             for name in differences(then.options, now.options)
         ]
         found = found or changed_files(self.root, then.outputs)

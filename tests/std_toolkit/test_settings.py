@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,24 @@ from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.labels.texture.comparison import TextureSettings
-from std_toolkit.settings import changed, every_group, override, read_settings, settings_text
+from std_toolkit.options import Share
+from std_toolkit.settings import (
+    Settings,
+    changed,
+    every_group,
+    limit,
+    override,
+    read_settings,
+    settings_text,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranged(Settings):
+    """A limit with a range."""
+
+    share: Share = limit(0.5, source="made up")
+    """smallest share that is accepted"""
 
 
 def clarity(_: int) -> float:
@@ -30,10 +48,10 @@ def test_a_file_changes_a_limit(tmp_path: Path) -> None:
 
 
 def test_a_refused_override_changes_nothing() -> None:
-    class Bad:
-        pass
-
-    with pytest.raises(TypeError), override(TextureSettings(clarity=0.25), Bad()):  # type: ignore[arg-type]
+    with (
+        pytest.raises(ToolkitError, match="at most 1"),
+        override(TextureSettings(clarity=0.25), Ranged(share=2.0)),
+    ):
         pass
     assert changed() == {}
 

@@ -61,12 +61,16 @@ def test_the_log_names_what_changed(artefact: Artefact, caplog) -> None:
 def test_another_limit_makes_it_stale(artefact: Artefact, caplog) -> None:
     from std_toolkit.labels.texture.comparison import TextureSettings
 
+    artefact = changed(artefact, limits=("labels.",))
+    artefact.write([artefact.root / "gt/b.bin", artefact.root / "a.bin"])
+    others = changed(artefact, limits=("poses.",))
     before, plain = artefact.digest, TextureSettings()
     name = next(f.name for f in fields(plain) if isinstance(getattr(plain, f.name), float))
     with override(replace(plain, **{name: 0.9 * getattr(plain, name)})):
         told = reason(artefact, caplog)
-        assert f"stale because labels.texture.comparison.{name} was None" in told
+        assert f"stale because labels.texture.comparison.{name} was the default" in told
         assert artefact.digest != before
+        assert others.is_kept() and others.digest == before
     assert artefact.is_kept() and artefact.digest == before
 
 

@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.artefact import Artefact
+from std_toolkit.jobs.artefact import Artefact, record_path
 from std_toolkit.labels.entry.label import add_model, add_object, set_pose
 from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.poses.publish import SPARSE, publish_model, rescaled_poses, work_folder
@@ -60,6 +60,14 @@ def test_the_step_that_made_the_poses_stays_done(reconstructed):
     with rescaled_poses(reconstructed, FACTOR, REPORT):
         assert not Artefact(reconstructed.root, "poses", {}).is_kept()
     assert Artefact(reconstructed.root, "poses", {}).is_kept()
+
+
+def test_a_record_of_another_form_is_left_alone(reconstructed):
+    path = record_path(reconstructed.root, "check")
+    path.write_text('{"step": "check", "digest": "12", "parameters": {}}')
+    with rescaled_poses(reconstructed, FACTOR, REPORT):
+        pass
+    assert path.read_text().startswith('{"step"')
 
 
 def test_a_run_that_dies_in_between_recovers_the_poses_again(reconstructed):
