@@ -28,7 +28,7 @@ from std_toolkit.settings import (
 class Ranged(Settings):
     """A limit with a range."""
 
-    share: Share = limit(0.5, source="made up")
+    share: Share = limit(0.5, source="made up")  # noqa: RUF009
     """smallest share that is accepted"""
 
 
