@@ -90,8 +90,8 @@ def changed(now: Settings, name: str, value: float, factor: float) -> Settings:
 def flips(example: Example, change: Callable[[float], Any]) -> float | None:
     """The factor nearest to 1 with which the verdict on an example is wrong."""
     for factor in (x for f in FACTORS for x in (f, 1 / f)):
-        made = change(factor)
         try:
+            made = change(factor)
             if isinstance(made, Settings):
                 with override(made):
                     passed = example.passes(CheckOptions())
