@@ -74,14 +74,20 @@ class Settings:
     @classmethod
     def current(cls) -> Self:
         """Return the limits in force: those of `override`, else the defaults."""
-        found = _ACTIVE.get(cls)
-        if found is None:
-            found = _ACTIVE[cls] = cls()
-        return found  # type: ignore[return-value]
+        return _ACTIVE.get(cls) or _default(cls)  # type: ignore[return-value]
 
 
 _KINDS: dict[str, type[Settings]] = {}
+# Those that were set; defaults are not in it, so that reading a limit changes nothing.
 _ACTIVE: dict[type[Settings], Settings] = {}
+_DEFAULTS: dict[type[Settings], Settings] = {}
+
+
+def _default(kind: type[Settings]) -> Settings:
+    found = _DEFAULTS.get(kind)
+    if found is None:
+        found = _DEFAULTS[kind] = kind()
+    return found
 
 
 @contextmanager
@@ -109,13 +115,16 @@ def use(limits: Iterable[Settings]) -> None:
 
 def use_only(limits: Iterable[Settings]) -> None:
     """Use these limits, and the defaults of all others: a worker may serve several jobs."""
-    _ACTIVE.clear()
-    use(limits)
+    wanted = tuple(limits)
+    if wanted != in_force():
+        _ACTIVE.clear()
+        use(wanted)
 
 
 def in_force() -> tuple[Settings, ...]:
     """Return the groups of limits that differ from the defaults, in the order of their names."""
-    return tuple(sorted((s for s in _ACTIVE.values() if s != type(s)()), key=lambda one: one.group))
+    found = [one for one in tuple(_ACTIVE.values()) if one != _default(type(one))]
+    return tuple(sorted(found, key=lambda one: one.group))
 
 
 def changed(*prefixes: str) -> dict[str, float]:
@@ -130,7 +139,7 @@ def changed(*prefixes: str) -> dict[str, float]:
     for one in in_force():
         if prefixes and not one.group.startswith(prefixes):
             continue
-        default = type(one)()
+        default = _default(type(one))
         for field in dataclasses.fields(one):
             usual = dict(_numbers(getattr(default, field.name)))
             for part, value in _numbers(getattr(one, field.name)):
@@ -175,14 +184,10 @@ def _groups(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield prefix, {key: value}
         elif _kind(name) is not None:
             yield name, value
-        elif _is_package(name):
+        elif _spec(name) is not None:  # a package
             yield from _groups(value, name)
         else:
             yield name, value
-
-
-def _is_package(name: str) -> bool:
-    return _spec(name) is not None
 
 
 def _spec(group: str) -> str | None:

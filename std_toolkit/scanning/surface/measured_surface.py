@@ -44,10 +44,10 @@ _COARSE = 0.6
 class DisputeSettings(Settings):
     """Photos whose masks may lack a place."""
 
-    lacking: int = limit(40, source=NOT_RECORDED)
-    """of so many photos, one mask may lack any place"""
+    photos_per_gap: int = limit(40, source=NOT_RECORDED)
+    """number of photos for each mask that may lack any place"""
     disputed: int = limit(6, source=NOT_RECORDED)
-    """of so many photos beyond `few`, one mask may lack a place that depth maps show"""
+    """number of photos beyond `few` for each mask that may lack a place that depth maps show"""
     few: int = limit(24, source="of few photos, each carves what no other does")
     """photos from which masks may be disputed"""
 
@@ -248,7 +248,7 @@ def _hulls(
     Masks lack texture of the colour of the table behind it. The depth maps decide in between.
     """
     limits = DisputeSettings.current()
-    few = len(views) // limits.lacking
+    few = len(views) // limits.photos_per_gap
     many = max(few, (len(views) - limits.few) // limits.disputed)
     if any(v.hidden is not None for v in views):
         # Among other things, too, few photos show a side.
