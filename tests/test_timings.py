@@ -47,10 +47,11 @@ def test_a_run_over_its_budget_fails(
         f"import tests.timings\ntests.timings.BUDGET_S['sensors'] = {budget}\n"
     )
     words = f"-q -W ignore -p cheap -p tests.conftest -p no:cacheprovider -n {workers} --rootdir ."
+    env = {name: text for name, text in os.environ.items() if not name.startswith("PYTEST")}
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words.split(), "tests"],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": f"{REPOSITORY}:{tmp_path}", "PYTEST_ADDOPTS": ""},
+        env=env | {"PYTHONPATH": f"{REPOSITORY}:{tmp_path}"},
         capture_output=True,
         text=True,
     )

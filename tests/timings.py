@@ -12,7 +12,7 @@ from collections import defaultdict
 
 # About twice what a loaded machine of two cores takes.
 BUDGET_S = {
-    "annotator": 600.0,
+    "annotator": 1000.0,
     "benchmark": 1800.0,
     "sensors": 1200.0,
     "std_toolkit": 2200.0,
