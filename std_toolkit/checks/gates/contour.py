@@ -13,7 +13,7 @@ from std_toolkit.checks.gates.gate import (
     unlabelled,
     unseen,
 )
-from std_toolkit.checks.gates.motion import is_small
+from std_toolkit.checks.gates.motion import is_judged
 from std_toolkit.checks.measure.coverage import CoverageSettings
 from std_toolkit.checks.result import CheckWarning, Number, ObjectCheck, Severity
 from std_toolkit.options import CheckOptions
@@ -82,19 +82,19 @@ def _labelled(item: ObjectCheck, measured: Measured) -> Reading:
 def _edges(item: ObjectCheck, measured: Measured) -> Reading | None:
     if not has_edges(item, measured.options):
         return None
-    return _pixels(item, item.value("edge_px"), measured.options.max_edge_px, measured)
+    return _pixels(item, item.value("edge_px"), measured)
 
 
 def _shift(item: ObjectCheck, measured: Measured) -> Reading | None:
     shift = shift_px(item, measured.options)
-    return _pixels(item, shift, measured.options.max_shift_px, measured)
+    return _pixels(item, shift, measured)
 
 
-def _pixels(item: ObjectCheck, value: Number, limit: float, measured: Measured) -> Reading | None:
+def _pixels(item: ObjectCheck, value: Number, measured: Measured) -> Reading | None:
     """Pixels depend on resolution and distance: they decide where the motion is not measured."""
-    if value is None or value <= limit or not is_small(item, measured.options):
+    if value is None or not is_judged(item, measured):
         return Reading(value)
-    return Reading(limit, excuse="its motion, which counts instead, is within the limits")
+    return Reading(value, excuse="its motion counts instead", verdict="fits")
 
 
 def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
@@ -109,6 +109,8 @@ def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
 def _evidence(item: ObjectCheck, measured: Measured) -> Reading | None:
     if unseen(item, measured):
         return None
+    if is_judged(item, measured):
+        return Reading(0.0, verdict="fits")
     return Reading(0.0 if is_confirmed(item, measured.options) else 1.0)
 
 

@@ -25,9 +25,10 @@ A gate that lives outside of this package is added by `judge.register_gate`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from std_toolkit.checks.gates.hypotheses import Weighed
 from std_toolkit.checks.result import (
     CheckGate,
     CheckWarning,
@@ -42,6 +43,8 @@ from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
 
 _MOST_NAMES = 6
+# Verdicts that fail a scene.
+REFUSED: tuple[Verdict, ...] = ("doubtful", "wrong")
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ class Measured:
         moved: objects that moved.
         unfit: share of the frames in which a label does not fit, by name; see `frames`.
         unreadable: why the mesh of a labelled object cannot be read, by object id.
+        weighed: verdict on the pose of an object by its id, where anything says where it is.
     """
 
     summary: SceneSummary
@@ -85,6 +89,7 @@ class Measured:
     moved: Sequence[Moved] = ()
     unfit: Mapping[str, float] = field(default_factory=dict)
     unreadable: Mapping[int, str] = field(default_factory=dict)
+    weighed: Mapping[int, Weighed] = field(default_factory=dict)
 
     @property
     def labelled(self) -> list[ObjectCheck]:
@@ -107,6 +112,7 @@ class Reading:
         detail: where it comes from; for an object, what is said beside its name.
         advice: replaces that of the gate if not empty.
         excuse: why it counts less than what was measured, or "".
+        verdict: on the object; None: by the limit of the gate.
     """
 
     value: float | None
@@ -114,6 +120,7 @@ class Reading:
     detail: str = ""
     advice: str = ""
     excuse: str = ""
+    verdict: Verdict | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +163,8 @@ class Gate:
 
     def meets(self, reading: Reading, options: CheckOptions) -> bool:
         """Whether a value is within the limit; a missing one is."""
+        if reading.verdict is not None:
+            return reading.verdict not in REFUSED
         if reading.value is None:
             return True
         limit = self.limit_of(options)
@@ -303,9 +312,12 @@ class ObjectGate(Gate):
             reading = Reading(len(found), None, self.detail(found, measured), advice)
         elif counted and not self.counts:
             sign = -1 if self.rule == "at least" else 1
-            item, worst = max(counted, key=lambda pair: sign * (pair[1].value or 0.0))
+            item, worst = max(
+                counted,
+                key=lambda pair: (not self.meets(pair[1], options), sign * (pair[1].value or 0.0)),
+            )
             detail = self.detail([(item, worst)], measured)
-            reading = Reading(worst.value, worst.deviation, detail, worst.advice)
+            reading = replace(worst, detail=detail)
         return self.row(reading, options, self.accept(options) if self.accept else "")
 
     def finding(self, item: ObjectCheck, measured: Measured) -> GateFinding | None:
@@ -317,7 +329,8 @@ class ObjectGate(Gate):
         return GateFinding(
             gate=self.key,
             value=round(reading.value, 3),
-            verdict="fits" if self.meets(reading, measured.options) else self.verdict,
+            verdict=reading.verdict
+            or ("fits" if self.meets(reading, measured.options) else self.verdict),
             exempt=self.exempt(item, measured) or reading.excuse,
         )
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from std_toolkit.checks import result
 from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
 from std_toolkit.checks.gates.gate import Gate, Measured
+from std_toolkit.checks.gates.hypotheses import weigh
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
 from std_toolkit.errors import ToolkitError
-from std_toolkit.labels.texture.comparison import TextureComparison
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import ScaleEstimate
@@ -31,8 +31,8 @@ _FAMILIES = (
     *texture.GATES,
 )
 _added: list[Gate] = []
-# From the best verdict to the worst: what nobody could see is worse than a doubt.
-_ORDER: tuple[result.Verdict, ...] = ("fits", "doubtful", "unknown", "wrong")
+# From the best verdict to the worst.
+_ORDER: tuple[result.Verdict, ...] = ("fits", "unknown", "doubtful", "wrong")
 _SEVERITY: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
 
 
@@ -77,7 +77,7 @@ def judge_scene(
     options: CheckOptions,
     *,
     up: NDArray[np.float64],
-    compared: Mapping[int, TextureComparison] | None = None,
+    compared: Mapping[int, textures.TextureFinding] | None = None,
     sizes: ScaleEstimate | None = None,
 ) -> result.CheckReport:
     """Aggregate the measurements and evaluate the gates; writes nothing.
@@ -121,6 +121,11 @@ def judge_rows(measured: Measured) -> result.CheckReport:
     Args:
         measured: what was measured, without the faults of frames.
     """
+    weighed = {
+        o.object: found
+        for o in measured.objects
+        if o.is_labelled and (found := weigh(o, measured.options)) is not None
+    }
     faults = frames.find_frame_faults(measured.objects, measured.frames, measured.options)
     measured = replace(
         measured,
@@ -129,6 +134,7 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         camera=faults.camera,
         moved=faults.moved,
         unfit=faults.unfit,
+        weighed=weighed,
     )
     gates = all_gates()
     objects = [_with_verdict(o, gates, measured) for o in measured.objects]

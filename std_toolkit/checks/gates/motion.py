@@ -1,21 +1,23 @@
-"""Gates on the motion between a label and the images, on its size, and on its confirmation."""
+"""Gates on the pose of a label by all evidence, on its size, and on what could see a fault."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from std_toolkit.checks.gates.gate import (
     Measured,
     ObjectGate,
     Reading,
     Readings,
-    all_names,
     unlabelled,
 )
+from std_toolkit.checks.gates.hypotheses import JudgeSettings, Weighed
 from std_toolkit.checks.measure.object_motion import ConfirmationSettings
-from std_toolkit.checks.result import CheckWarning, ObjectCheck
-from std_toolkit.options import CheckOptions
+from std_toolkit.checks.result import CheckWarning, ObjectCheck, Verdict
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _REFINE = "run `std-curate propagate --refine`, or correct the label in the annotator"
@@ -23,56 +25,14 @@ _REFINE = "run `std-curate propagate --refine`, or correct the label in the anno
 
 @dataclass(frozen=True, kw_only=True)
 class MotionGateSettings(Settings):
-    """Motions that are noted, and those put down to the shape of the mesh."""
+    """Motions that are noted."""
 
     noted_mm: float = limit(2.0, unit="mm", source=NOT_RECORDED)
     """a smaller translation brings no warning"""
     noted_deg: float = limit(1.2, unit="deg", source=NOT_RECORDED)
     """a smaller rotation brings no warning"""
-    other_shape: float = limit(3.0, source=NOT_RECORDED)
-    """motions up to this many limits are put down to the shape of the mesh where its texture
-    fits"""
-    offset_px: float = limit(1.5, unit="px", source=NOT_RECORDED)
-    """contours further from the image differ in shape"""
-
-
-def is_small(item: ObjectCheck, options: CheckOptions) -> bool:
-    """Whether the images confirm the label, and determine that its motion is within the limits.
-
-    One frame leaves the distance open: its motion says little.
-    """
-    if is_another_shape(item, options):
-        return True
-    if item.text("confirmed") != "yes":
-        return False
-    mm, deg = item.entry("motion_mm"), item.entry("motion_deg")
-    return (
-        mm is not None
-        and deg is not None
-        and max(mm.value or 0, mm.std or 0) <= options.max_motion_mm
-        and max(deg.value or 0, deg.std or 0) <= options.max_motion_deg
-    )
-
-
-def is_another_shape(item: ObjectCheck, options: CheckOptions) -> bool:
-    """Whether the texture fits and the contour does not: mesh and object differ in shape.
-
-    A box that bulges or a bottle of another production has the texture of the mesh, and a contour
-    that no pose explains.
-    """
-    limits = MotionGateSettings.current()
-    mm, deg = item.value("motion_mm") or 0, item.value("motion_deg") or 0
-    return (
-        item.text("texture") == "fits"
-        and item.value("motion_mm") is not None
-        and (mm > options.max_motion_mm or deg > options.max_motion_deg or _is_offset(item))
-        and mm <= limits.other_shape * options.max_motion_mm
-        and deg <= limits.other_shape * options.max_motion_deg
-    )
-
-
-def _is_offset(item: ObjectCheck) -> bool:
-    return (item.value("edge_px") or 0) > MotionGateSettings.current().offset_px
+    noted_sigmas: float = limit(3.0, unit="deviations", source=NOT_RECORDED)
+    """nor does one of fewer deviations"""
 
 
 def size_error(item: ObjectCheck) -> float:
@@ -83,28 +43,86 @@ def size_error(item: ObjectCheck) -> float:
     return error if abs(error) > ConfirmationSettings.current().size_deviations * std else 0.0
 
 
-def _motion(key: str) -> Callable[[ObjectCheck, Measured], Reading | None]:
+def is_judged(item: ObjectCheck, measured: Measured) -> bool:
+    """Whether the pose is judged by a motion in six degrees of freedom.
+
+    Distances in pixels depend on resolution and distance. They decide where there is no motion.
+    """
+    found = measured.weighed.get(item.object)
+    return found is not None and found.verdict != "unknown"
+
+
+def _motion(part: Literal["mm", "deg"]) -> Callable[[ObjectCheck, Measured], Reading | None]:
     """The measure of one part of the motion."""
+    where = slice(3) if part == "mm" else slice(3, 6)
 
     def measure(item: ObjectCheck, measured: Measured) -> Reading | None:
-        if is_another_shape(item, measured.options):
-            return Reading(0.0, excuse="its texture fits: the mesh has another shape")
-        return Reading(item.value(key), item.std(key))
+        found = measured.weighed.get(item.object)
+        if found is None:
+            return None
+        value = float(np.linalg.norm(found.located.motion[where]))
+        within = found.within_mm if part == "mm" else found.within_deg
+        other = found.within_deg if part == "mm" else found.within_mm
+        verdict = found.verdict
+        if verdict in ("doubtful", "wrong") and within > other:
+            # The other part of the motion is what is wrong.
+            verdict = _graded(within)
+        return Reading(
+            value,
+            found.located.along(where),
+            excuse=found.reason if found.cause in ("shape", "texture", "blind") else "",
+            verdict=verdict,
+        )
 
     return measure
 
 
+def _graded(probability: float) -> Verdict:
+    limits = JudgeSettings.current()
+    if probability < limits.wrong:
+        return "wrong"
+    return "fits" if probability >= limits.fits else "doubtful"
+
+
 def _size(item: ObjectCheck, measured: Measured) -> Reading | None:
-    del measured
     if item.value("size_error") is None:
         return None
-    return Reading(100 * abs(size_error(item)), 100 * (item.std("size_error") or 0))
+    found = measured.weighed.get(item.object)
+    std = 100 * (item.std("size_error") or 0)
+    if found is not None and found.cause == "shape":
+        return Reading(100 * abs(size_error(item)), std, excuse=found.reason, verdict="fits")
+    return Reading(100 * abs(size_error(item)), std)
 
 
-def _confirmed(item: ObjectCheck, measured: Measured) -> Reading | None:
-    if unlabelled(item, measured):
+def _seen(item: ObjectCheck, measured: Measured) -> Reading | None:
+    """Whether the images show the object where its label puts it."""
+    if unlabelled(item, measured) or item.entry("confirmed") is None:
         return None
-    return Reading(float(item.text("confirmed") == "no"))
+    if item.object in measured.weighed:
+        return Reading(0.0, verdict="fits")
+    support = item.entry("support")
+    seen = support.text if support is not None else ""
+    verdict: Verdict = "unknown"
+    if seen == "absent" and _is_expected(item):
+        verdict = "wrong"
+    elif seen == "aside":
+        verdict = "doubtful"
+    return Reading(1.0, detail=_UNSEEN.get(seen, _UNSEEN["faint"]), verdict=verdict)
+
+
+_UNSEEN = {
+    "faint": "too little of its contour lies on image edges",
+    "loose": "the images allow poses far from it",
+    "aside": "edges nearby fit another pose clearly better",
+    "absent": "the images do not show it where its label puts it",
+}
+
+
+def _is_expected(item: ObjectCheck) -> bool:
+    """Whether enough of the contour is in view to be missed."""
+    support = item.entry("support")
+    limits = ConfirmationSettings.current()
+    return support is not None and (support.std or 1.0) < limits.missed_std
 
 
 def _worst_name(found: Readings, measured: Measured) -> str:
@@ -113,40 +131,53 @@ def _worst_name(found: Readings, measured: Measured) -> str:
     return item.name if reading.value else ""
 
 
-def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
-    """Motions within the limits, and contours that differ from the mesh."""
-    limits = MotionGateSettings.current()
-    options = measured.options
+def _with_reasons(found: Readings, measured: Measured) -> str:
+    del measured
+    return "; ".join(f"{item.name}: {reading.detail}" for item, reading in found)
+
+
+def _explained(measured: Measured) -> Iterable[tuple[ObjectCheck, Weighed]]:
     for item in measured.labelled:
-        mm, deg = item.value("motion_mm") or 0, item.value("motion_deg") or 0
-        parts = []
-        if is_another_shape(item, options):
+        found = measured.weighed.get(item.object)
+        if found is not None:
+            yield item, found
+
+
+def _motion_warnings(measured: Measured) -> Iterable[CheckWarning]:
+    """Motions within the limits, and objects that differ from the mesh."""
+    limits = MotionGateSettings.current()
+    for item, found in _explained(measured):
+        if found.cause in ("shape", "texture"):
             yield CheckWarning(
                 severity="medium",
                 about=item.name,
-                problem="the mesh has another shape than the object: its texture fits, its "
-                f"contour lies {mm:.1f} mm and {deg:.1f} deg from the label",
-                advice="the label fits best; scan this object if its shape matters",
+                problem=found.reason,
+                advice="the label fits best; scan this object if its shape or texture matters",
             )
-            continue
-        if limits.noted_mm <= mm <= options.max_motion_mm:
-            parts.append(f"{mm:.1f} mm (± {item.std('motion_mm') or 0:.1f})")
-        if limits.noted_deg <= deg <= options.max_motion_deg:
-            parts.append(f"{deg:.1f} deg (± {item.std('motion_deg') or 0:.1f})")
-        if parts:
-            yield CheckWarning(
-                severity="medium",
-                about=item.name,
-                problem=f"all frames together place it {' and '.join(parts)} from its label",
-                advice="run `std-curate propagate --refine`",
-            )
+        elif found.verdict == "fits":
+            at = found.located
+            parts = [
+                f"{value:.1f} {unit} (± {std:.1f})"
+                for (value, _), std, noted, unit in (
+                    (at.mm, at.along(slice(3)), limits.noted_mm, "mm"),
+                    (at.deg, at.along(slice(3, 6)), limits.noted_deg, "deg"),
+                )
+                if value >= max(noted, limits.noted_sigmas * std)
+            ]
+            if parts:
+                yield CheckWarning(
+                    severity="medium",
+                    about=item.name,
+                    problem=f"all frames together place it {' and '.join(parts)} from its label",
+                    advice="run `std-curate propagate --refine`",
+                )
 
 
 def _size_warnings(measured: Measured) -> Iterable[CheckWarning]:
     limits = ConfirmationSettings.current()
     for item in measured.labelled:
         size, std = size_error(item), 100 * (item.std("size_error") or 0)
-        if abs(size) < limits.noted_size or is_another_shape(item, measured.options):
+        if abs(size) < limits.noted_size:
             continue
         yield CheckWarning(
             severity="medium",
@@ -158,28 +189,30 @@ def _size_warnings(measured: Measured) -> Iterable[CheckWarning]:
         )
 
 
-def _unconfirmed(measured: Measured) -> Iterable[CheckWarning]:
+def _undetermined(measured: Measured) -> Iterable[CheckWarning]:
+    """Labels whose faults no source could have seen."""
     for item in measured.labelled:
-        if item.text("confirmed") == "no" and not is_another_shape(item, measured.options):
-            share = 100 * (item.value("confirmed") or 0)
+        found = measured.weighed.get(item.object)
+        reading = _seen(item, measured)
+        why = ""
+        if found is not None and found.verdict == "unknown":
+            why = found.reason
+        elif reading is not None and reading.verdict == "unknown":
+            why = reading.detail
+        if why:
             yield CheckWarning(
-                severity="high",
+                severity="medium",
                 about=item.name,
-                problem="is unconfirmed: its contour beats chance in "
-                f"{share:.0f} % of the frames that show it",
-                advice="inspect its close-ups",
+                problem=f"is unknown: {why}",
+                advice="record it nearer and from more sides, or use a mesh with texture",
             )
-
-
-def _accepted(options: CheckOptions) -> str:
-    return "allowed by --allow-unconfirmed" if options.allow_unconfirmed else ""
 
 
 GATES = (
     ObjectGate(
         key="motion",
         title="translation between a label and the images, worst object",
-        measure=_motion("motion_mm"),
+        measure=_motion("mm"),
         exempt=unlabelled,
         limit=lambda options: options.max_motion_mm,
         unit="mm",
@@ -190,7 +223,7 @@ GATES = (
     ObjectGate(
         key="rotation",
         title="rotation between a label and the images, worst object",
-        measure=_motion("motion_deg"),
+        measure=_motion("deg"),
         exempt=unlabelled,
         limit=lambda options: options.max_motion_deg,
         unit="deg",
@@ -210,16 +243,14 @@ GATES = (
         warn=_size_warnings,
     ),
     ObjectGate(
-        key="confirmed",
-        title="labels that the images do not confirm",
-        measure=_confirmed,
+        key="seen",
+        title="labels that the images speak against",
+        measure=_seen,
         counts=True,
         exempt=unlabelled,
-        accept=_accepted,
         verdict="doubtful",
-        detail=all_names,
-        advice="inspect their overlays; annotate them in frames that show them clearly, or accept "
-        "them with --allow-unconfirmed",
-        warn=_unconfirmed,
+        detail=_with_reasons,
+        advice="inspect their overlays; annotate them again in frames that show them clearly",
+        warn=_undetermined,
     ),
 )

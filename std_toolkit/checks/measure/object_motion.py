@@ -22,6 +22,7 @@ from std_toolkit.checks.measure.motion import (
 from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
 from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
 from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
+from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
@@ -73,6 +74,10 @@ class ConfirmationSettings(Settings):
     )
     """a mesh of the right size brings at least this share of the contour onto edges that a
     wrong one leaves beside them"""
+    missed_std: float = limit(0.08, source=NOT_RECORDED)
+    """a contour that is not there counts where its support is known to this deviation"""
+    absent_part: float = limit(0.2, source=NOT_RECORDED)
+    """a contour with less support than this part of what chance leaves is not there"""
     loose: float = limit(1.5, source="reflections give edges at which a pose is about as likely")
     """up to this many limits away, such edges say nothing against the label"""
     kept_support: float = limit(0.65, source="right labels keep 0.81 or more on glass and steel")
@@ -122,12 +127,13 @@ def _with_motion(
     systematic_px = limits.systematic_px.get(item.material, limits.opaque_systematic_px)
     motion = solve_motion(equations, free, systematic_px=systematic_px)
     if motion is None:
-        return item.with_values([_confirmation(False, 0.0, 0)])
+        return item.with_values([_confirmation(False, 0.0, 0), _diameter(scene, item)])
     # Support is measured where the images put the object: a small motion has a gate of its own.
     support = pooled_support(equations, motion.vector)
+    item = item.with_values([_diameter(scene, item)])
     if len(equations) < MotionSettings.current().fewest_frames:
         # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
-        shown = _is_supported(support) or item.text("texture") == "fits"
+        shown = _is_supported(support)
         return item.with_values([_confirmation(shown, support.frames, len(equations))])
     plain = motion
     sized = solve_motion(
@@ -145,11 +151,8 @@ def _with_motion(
     # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
     if abs(sized.size) > max(limits.noted_size, limits.size_deviations * size_std):
         motion, support = sized, sized_support
-    shown = item.text("texture") == "fits" or (
-        _is_supported(support)
-        and not _is_loose(plain, options)
-        and _keeps_support(motion, support, equations)
-    )
+    at_label = pooled_support(equations, np.zeros(6))
+    seen = _seen(plain, motion, support, at_label, options)
     return item.with_values(
         [
             *_motion_values(motion, len(equations)),
@@ -160,7 +163,8 @@ def _with_motion(
                 source="contour",
                 frames=len(equations),
             ),
-            _confirmation(shown, support.frames, len(equations)),
+            _confirmation(seen == "seen", support.frames, len(equations)),
+            *_support_values(support, at_label, seen),
         ]
     )
 
@@ -233,6 +237,26 @@ def _motion_values(motion: Motion, frames: int) -> list[Value]:
     ]
 
 
+def _diameter(scene: Scene, item: ObjectCheck) -> Value:
+    low, high = mesh_bounds(scene.mesh(item.model))
+    size = float(np.linalg.norm(high - low))
+    return Value(key="size_m", value=round(size, 4), unit="m", source="label")
+
+
+def _support_values(found: Support, at_label: Support, seen: str) -> list[Value]:
+    """Parts of the contour on edges, of what chance leaves: nearby at best, and at the label."""
+    return [
+        Value(
+            key=key,
+            value=round((s.share - s.chance) / max(1 - s.chance, 0.05), 4),
+            std=round(s.deviation / max(1 - s.chance, 0.05), 4),
+            source="contour",
+            text=text,
+        )
+        for key, s, text in (("support", found, seen), ("label_support", at_label, ""))
+    ]
+
+
 def _confirmation(shown: bool, share: float, frames: int) -> Value:
     return Value(
         key="confirmed",
@@ -278,16 +302,26 @@ def _is_supported(support: Support) -> bool:
     return support.frames > 0.5 or together
 
 
-def _keeps_support(motion: Motion, support: Support, equations: Sequence[_Equations]) -> bool:
-    """Whether the label itself lies on edges, where the motion to better ones is not significant.
+def _seen(
+    plain: Motion, motion: Motion, found: Support, at_label: Support, options: CheckOptions
+) -> str:
+    """What the images show of the contour.
 
-    Reflections on steel leave the motion so uncertain that a wrong label may lie within it.
+    "seen": it determines the motion; "loose": other poses far from the label are as likely;
+    "aside": edges nearby support another pose clearly better, though its motion is not significant,
+    as reflections on steel leave it; "faint": too few of its points lie on edges; "absent": hardly
+    more than by chance.
     """
     limits = ConfirmationSettings.current()
-    if motion.translation_mm[0] > 0 or motion.rotation_deg[0] > 0:
-        return True
-    label = pooled_support(equations, np.zeros(6))
-    return label.share - label.chance >= limits.kept_support * (support.share - support.chance)
+    left = max(1 - found.chance, 0.05)
+    if not _is_supported(found):
+        absent = (found.share - found.chance) / left < limits.absent_part
+        return "absent" if absent else "faint"
+    still = motion.translation_mm[0] == 0 and motion.rotation_deg[0] == 0
+    kept = at_label.share - at_label.chance >= limits.kept_support * (found.share - found.chance)
+    if still and not kept:
+        return "aside"
+    return "loose" if _is_loose(plain, options) else "seen"
 
 
 def _is_loose(motion: Motion, options: CheckOptions) -> bool:

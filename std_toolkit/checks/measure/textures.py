@@ -3,22 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from std_toolkit.checks import result
 from std_toolkit.checks.measure.contours import mesh_problem
+from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
 from std_toolkit.labels.refine_step import load_views, scene_object, texture_surface
 from std_toolkit.labels.texture.comparison import FRAMES, TextureComparison, compare_texture
+from std_toolkit.labels.texture.motion import TextureMotion, texture_motion
+from std_toolkit.labels.texture.scores import cut_window
 from std_toolkit.scene import Frame, Scene
+
+# Millimetres and degrees of metres and radians.
+_UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
+
+
+@dataclass(frozen=True, eq=False)
+class TextureFinding:
+    """What the texture of an object says of its label.
+
+    Attributes:
+        comparison: with near-symmetric turns.
+        motion: from the label to where the texture agrees; None where it does not say.
+    """
+
+    comparison: TextureComparison
+    motion: TextureMotion | None = None
 
 
 def compare_textures(
     scene: Scene, frames: Sequence[Frame], *, only: Collection[int] | None = None
-) -> dict[int, TextureComparison]:
+) -> dict[int, TextureFinding]:
     """Compare the texture of every labelled object with a few of the frames.
 
     Args:
@@ -27,7 +46,7 @@ def compare_textures(
         only: ids of the objects to compare; None compares all.
 
     Returns:
-        Comparisons by object id; objects without a label in the world or a readable mesh are
+        Findings by object id; objects without a label in the world or a readable mesh are
         left out.
     """
     placed: dict[int, SE3] = {}
@@ -60,16 +79,30 @@ def _compare(
     obj: RefineObject,
     others: Sequence[RefineObject],
     views: Sequence[RefineView],
-) -> TextureComparison:
+) -> TextureFinding:
     mesh = scene.mesh(scene.objects.object(object_id).model)
-    textured = texture_surface(scene, object_id, mesh)
-    return compare_texture(views, replace(obj, texture=textured), others)
+    surface = texture_surface(scene, object_id, mesh)
+    found = compare_texture(views, replace(obj, texture=surface), others)
+    # The motion to a texture that fits better after a turn, or that is plain, says nothing.
+    if surface is None or found.verdict in ("turned", "ambiguous"):
+        return TextureFinding(found)
+    windows = [
+        (k if v.frame is None else v.frame, window)
+        for k, v in enumerate(views)
+        if (window := cut_window(v, surface, obj.T_world_obj, others)) is not None
+    ]
+    centre = obj.T_world_obj @ obj.centre
+    free = symmetry_motions(obj.symmetry, obj.T_world_obj, centre)
+    return TextureFinding(found, texture_motion(windows, surface, obj, free=free))
 
 
-def with_texture(item: result.ObjectCheck, found: TextureComparison | None) -> result.ObjectCheck:
-    """The object's row with the comparison of its texture."""
-    if found is None:
+def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> result.ObjectCheck:
+    """The object's row with what its texture says."""
+    if finding is None:
         return item
+    found = finding.comparison
+    if finding.motion is not None:
+        item = item.with_values([_motion(finding.motion)])
     return item.with_values(
         [
             result.Value(
@@ -90,8 +123,23 @@ def with_texture(item: result.ObjectCheck, found: TextureComparison | None) -> r
     )
 
 
+def _motion(found: TextureMotion) -> result.Value:
+    vector = found.vector * _UNITS
+    covariance = found.covariance * np.outer(_UNITS, _UNITS)
+    return result.Value(
+        key="texture_mm",
+        value=round(float(np.linalg.norm(vector[:3])), 2),
+        std=round(float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])), 2),
+        unit="mm",
+        source="texture",
+        frames=len(found.frames),
+        motion=[round(float(x), 3) for x in vector],
+        covariance=[float(f"{x:.6g}") for x in covariance.ravel()],
+    )
+
+
 def with_textures(
-    objects: Sequence[result.ObjectCheck], found: Mapping[int, TextureComparison]
+    objects: Sequence[result.ObjectCheck], found: Mapping[int, TextureFinding]
 ) -> list[result.ObjectCheck]:
     """All rows with their comparisons."""
     return [with_texture(o, found.get(o.object)) for o in objects]

@@ -83,7 +83,7 @@ def contrast(color: Array32, mask: Mask, size: float) -> float:
     """Standard deviation of the drawn colours without their slow part, grey levels."""
     if mask.sum() < 30:
         return 0.0
-    fine = _smoothed(color, mask, _SMOOTH_PX) - _smoothed(color, mask, _SLOW * size)
+    fine = smoothed(color, mask, _SMOOTH_PX) - smoothed(color, mask, _SLOW * size)
     return float(np.sqrt((fine[mask] ** 2).mean()))
 
 
@@ -129,8 +129,8 @@ def agreements(drawn: Array32, taken: Array32, mask: Mask, size: float) -> list[
     mask = part > 0
     if mask.sum() < 30:
         return []
-    a, b = (_smoothed(x, mask, _SMOOTH_PX) for x in (drawn, taken))
-    fine_a, fine_b = (x - _smoothed(x, mask, _SLOW * size) for x in (a, b))
+    a, b = (smoothed(x, mask, _SMOOTH_PX) for x in (drawn, taken))
+    fine_a, fine_b = (x - smoothed(x, mask, _SLOW * size) for x in (a, b))
     return [
         _correlation(_centred(a, part), _centred(b, part)),
         _correlation(fine_a[mask], fine_b[mask]),
@@ -161,7 +161,8 @@ def aligned(drawn: Array32, taken: Array32, mask: Mask, *, limit_px: float) -> A
     if mask.sum() < 60:
         return taken
     slow = _SLOW_ALIGN * float(max(np.ptp(np.nonzero(mask), axis=1)))
-    flow = _shift(drawn, taken, mask, limit_px, slow)
+    du, dv = best_shift(drawn, taken, mask, limit_px=limit_px, slow=slow)
+    flow = np.array([du, 0, 0, dv, 0, 0])
     found = _affine(drawn, taken, mask, flow, slow)
     rest = found - flow
     if _largest(rest) <= limit_px:
@@ -169,14 +170,14 @@ def aligned(drawn: Array32, taken: Array32, mask: Mask, *, limit_px: float) -> A
     return _moved(taken, flow, _basis(mask))
 
 
-def _shift(
-    drawn: Array32, taken: Array32, mask: Mask, limit_px: float, slow: float
-) -> NDArray[np.float64]:
-    """The shift within the limit at which smoothed pictures agree best, as a flow."""
+def best_shift(
+    drawn: Array32, taken: Array32, mask: Mask, *, limit_px: float, slow: float
+) -> tuple[float, float]:
+    """The shift of u and v within the limit at which smoothed pictures agree best, pixels."""
     reach = int(np.ceil(limit_px))
-    fine = _smoothed(drawn, mask, 2.0) - _smoothed(drawn, mask, slow)
+    fine = smoothed(drawn, mask, 2.0) - smoothed(drawn, mask, slow)
     photo = cv2.copyMakeBorder(
-        _passed(taken, 2.0, slow), reach, reach, reach, reach, cv2.BORDER_REPLICATE
+        passed(taken, 2.0, slow), reach, reach, reach, reach, cv2.BORDER_REPLICATE
     )
     # Every second pixel: the pictures are smooth.
     small, template = photo[::2, ::2], fine[::2, ::2]
@@ -190,7 +191,7 @@ def _shift(
     # A slight preference for no shift decides where there is no texture.
     score = score - 0.05 * np.hypot(du, dv) / max(limit_px, 1)
     best = np.unravel_index(int(score.argmax()), score.shape)
-    return np.array([du[best], 0, 0, dv[best], 0, 0], dtype=np.float64)
+    return float(du[best]), float(dv[best])
 
 
 def _affine(
@@ -202,10 +203,10 @@ def _affine(
     # Shear and scale move the texture less than shifts do, and noise determines them worse.
     stiff = np.array([0.003, 0.03, 0.03, 0.003, 0.03, 0.03])
     for sigma in _ALIGN_PX:
-        a = _standard(_smoothed(drawn, mask, sigma) - _smoothed(drawn, mask, slow), mask)
-        photo = _passed(taken, sigma, slow)
+        a = standardised(smoothed(drawn, mask, sigma) - smoothed(drawn, mask, slow), mask)
+        photo = passed(taken, sigma, slow)
         for _ in range(_ALIGN_STEPS):
-            b = _standard(_moved(photo, flow, full), mask)
+            b = standardised(_moved(photo, flow, full), mask)
             gx = cv2.Sobel(b, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)[mask]
             gy = cv2.Sobel(b, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)[mask]
             r = (a - b)[mask]
@@ -223,7 +224,7 @@ def _affine(
     return flow
 
 
-def _passed(image: Array32, sigma: float, slow: float) -> Array32:
+def passed(image: Array32, sigma: float, slow: float) -> Array32:
     """The image smoothed by a sigma, without what is left of it after much more smoothing."""
     return np.asarray(
         cv2.GaussianBlur(image, (0, 0), sigma) - cv2.GaussianBlur(image, (0, 0), slow),
@@ -242,9 +243,14 @@ def _basis(mask: Mask) -> Array32:
 
 def _moved(image: Array32, flow: NDArray[np.float64], basis: Array32) -> Array32:
     """The image at positions moved by an affine flow."""
+    return sampled(image, np.stack([basis @ flow[:3], basis @ flow[3:]], axis=-1))
+
+
+def sampled(image: Array32, flow: NDArray[np.floating]) -> Array32:
+    """The image at positions moved by a flow (h, w, 2) of u and v, pixels."""
     v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
-    map_u = (u + basis @ flow[:3]).astype(np.float32)
-    map_v = (v + basis @ flow[3:]).astype(np.float32)
+    map_u = (u + flow[..., 0]).astype(np.float32)
+    map_v = (v + flow[..., 1]).astype(np.float32)
     return np.asarray(
         cv2.remap(image, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
         dtype=np.float32,
@@ -257,7 +263,7 @@ def _largest(flow: NDArray[np.float64]) -> float:
     return float(np.hypot(corners @ flow[:3], corners @ flow[3:]).max())
 
 
-def _standard(image: Array32, mask: Mask) -> Array32:
+def standardised(image: Array32, mask: Mask) -> Array32:
     """Channels in units of their common standard deviation over the mask, without their means."""
     inside = image[mask]
     centred = image - inside.mean(axis=0)
@@ -296,7 +302,7 @@ def _eroded(mask: Mask, px: int) -> Mask:
     return np.asarray(small[px:-px, px:-px] > 0)
 
 
-def _smoothed(image: Array32, mask: Mask, sigma: float) -> Array32:
+def smoothed(image: Array32, mask: Mask, sigma: float) -> Array32:
     """Gaussian means over the pixels of the mask."""
     weight = mask.astype(np.float32)
     total = cv2.GaussianBlur(weight, (0, 0), sigma)

@@ -1,0 +1,320 @@
+"""What explains the evidence on a label: its pose is off, mesh and object differ, or nothing.
+
+Contour and texture each say where an object is, relative to its label, in six degrees of freedom
+with a covariance. Where they agree, the label is judged by both together. Where they do not, three
+explanations are compared by their likelihood:
+
+- "": both see the same pose, and differ by their errors only;
+- "shape": the object has another shape than the mesh, which moves its contour; its texture tells
+  where it is;
+- "texture": the object has its texture elsewhere than the mesh, as packaging of another print run;
+  its contour tells where it is.
+
+A label near one of them counts for the explanation under which it is right. The pose of the object
+is then known as a mixture of normal distributions, from which the probability follows that the
+label lies within the limits.
+
+Motions are vectors (6,): translation of the object's centre in mm, and rotation vector about it in
+degrees, along the axes of the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.result import ObjectCheck, Value, Verdict
+from std_toolkit.options import CheckOptions
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 4000
+_MM, _DEG = slice(3), slice(3, 6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgeSettings(Settings):
+    """How evidence is weighed, and the probabilities at which a label fits or is wrong."""
+
+    fits: float = limit(0.95, source="as usual for a test")
+    """a label fits from this probability that its pose lies within the limits"""
+    wrong: float = limit(0.05, source="as usual for a test")
+    """a label is wrong below this probability"""
+    deviation_factor: Mapping[str, float] = limit(
+        {"specular": 1.5, "transparent": 1.5},
+        source=NOT_RECORDED,
+    )
+    """factor on the deviations of a contour's motion, by material"""
+    opaque_factor: float = limit(1.5, source=NOT_RECORDED)
+    """the same for other materials"""
+    mesh_part: float = limit(0.003, source="scanned meshes and measured ones")
+    """deviation of the place of a contour by the mesh, in parts of the object's size"""
+    shape_part: float = limit(0.02, source="boxes that bulge, bottles of other production runs")
+    """the same where the object has another shape"""
+    shape_deg: float = limit(1.5, unit="deg", source=NOT_RECORDED)
+    """rotation by which another shape moves a contour, standard deviation"""
+    texture_part: float = limit(0.03, source="a bottle whose label sits 7 mm elsewhere")
+    """deviation of a texture that sits elsewhere, in parts of the object's size"""
+    texture_deg: float = limit(2.0, unit="deg", source="the same bottle: 2.7 deg")
+    """rotation of a texture that sits elsewhere, standard deviation"""
+    shape_prior: float = limit(0.10, source=NOT_RECORDED)
+    """share of the objects that have another shape than their mesh"""
+    texture_prior: float = limit(0.05, source=NOT_RECORDED)
+    """share of the objects that have their texture elsewhere"""
+    label_prior: float = limit(0.5, source="half of the labels may be wrong")
+    """share of the labels that are right"""
+    right_mm: float = limit(1.5, unit="mm", source="refined labels")
+    """deviation of right labels"""
+    right_deg: float = limit(0.8, unit="deg", source="refined labels")
+    """the same for their rotation"""
+    off_mm: float = limit(12.0, unit="mm", source=NOT_RECORDED)
+    """deviation of wrong labels"""
+    off_deg: float = limit(8.0, unit="deg", source=NOT_RECORDED)
+    """the same for their rotation"""
+    blind: float = limit(0.5, source="1.65 deviations on either side must lie within the limits")
+    """evidence whose deviation exceeds this part of a limit could not show a fault"""
+    significant_chi2: float = limit(22.5, source="chance exceeds it once in a thousand times")
+    """chi square with six degrees of freedom at which blind evidence speaks against a label"""
+    noted_odds: float = limit(3.0, source=NOT_RECORDED)
+    """an explanation is told where it is more likely than all others by this factor"""
+    noted_mm: float = limit(2.0, unit="mm", source=NOT_RECORDED)
+    """a difference between contour and texture below this is not told"""
+    noted_deg: float = limit(1.0, unit="deg", source=NOT_RECORDED)
+    """the same for a rotation"""
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Where the evidence puts an object.
+
+    Attributes:
+        motion: (6,) most likely motion from the label.
+        covariance: (6, 6) of it.
+    """
+
+    motion: Array
+    covariance: Array
+
+    @property
+    def mm(self) -> tuple[float, float]:
+        """Length of the translation, and the largest standard deviation of one."""
+        return self._part(_MM)
+
+    @property
+    def deg(self) -> tuple[float, float]:
+        """The same of the rotation."""
+        return self._part(_DEG)
+
+    def _part(self, part: slice) -> tuple[float, float]:
+        block = self.covariance[part, part]
+        largest = float(np.linalg.eigvalsh((block + block.T) / 2)[-1])
+        return float(np.linalg.norm(self.motion[part])), float(np.sqrt(max(largest, 0.0)))
+
+    def along(self, part: slice) -> float:
+        """Standard deviation along the motion; the largest one without a motion."""
+        length, largest = self._part(part)
+        if length < 1e-9:
+            return largest
+        unit = self.motion[part] / length
+        return float(np.sqrt(max(unit @ self.covariance[part, part] @ unit, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """The verdict on the pose of a label.
+
+    Attributes:
+        verdict: fits, doubtful, wrong, or unknown.
+        probability: that the pose lies within the limits.
+        within_mm, within_deg: the same for the translation and the rotation alone.
+        cause: "label", "shape", "texture", "blind" or "".
+        reason: in words.
+        located: where the object is by the best explanation.
+        apart: motion (6,) from the texture to the contour; None without both.
+    """
+
+    verdict: Verdict
+    probability: float
+    within_mm: float
+    within_deg: float
+    cause: str
+    reason: str
+    located: Located
+    apart: Array | None = None
+
+
+def source(value: Value | None) -> Located | None:
+    """The motion of a value of the report; None if it has none."""
+    if value is None or value.motion is None or value.covariance is None:
+        return None
+    return Located(np.array(value.motion), np.reshape(value.covariance, (6, 6)))
+
+
+def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
+    """The verdict on the pose of one object; None where nothing says where it is."""
+    limits = JudgeSettings.current()
+    contour = source(item.entry("motion_mm"))
+    texture = source(item.entry("texture_mm"))
+    size = 1000 * (item.value("size_m") or 0.1)
+    if contour is not None and item.text("confirmed") == "no":
+        contour = None
+    if contour is not None:
+        factor = limits.deviation_factor.get(item.material, limits.opaque_factor)
+        mesh = _spread(limits.mesh_part * size, 0.1)
+        contour = Located(contour.motion, contour.covariance * factor**2 + mesh)
+    if contour is None and texture is None:
+        return None
+    found = list(_explanations(contour, texture, size))
+    weights = np.array([weight for _, weight, _ in found])
+    weights = weights / weights.sum()
+    best = int(weights.argmax())
+    name, _, located = found[best]
+    inside = [_inside(at, options) for _, _, at in found]
+    total, mm, deg = (float(weights @ np.array(column)) for column in zip(*inside, strict=True))
+    apart = None if contour is None or texture is None else contour.motion - texture.motion
+    odds = weights[best] / max(1 - weights[best], 1e-9)
+    verdict, cause = _verdict(total, located, options)
+    if cause in ("", "label") and name and odds >= limits.noted_odds and _is_noted(apart):
+        cause = name if verdict == "fits" else cause
+    reason = _reason(verdict, cause, located, apart, _sources(contour, texture, name))
+    return Weighed(verdict, total, mm, deg, cause, reason, located, apart)
+
+
+def _explanations(
+    contour: Located | None, texture: Located | None, size: float
+) -> Iterable[tuple[str, float, Located]]:
+    """Name, weight and place of the object for each explanation."""
+    limits = JudgeSettings.current()
+    if contour is None or texture is None:
+        only = contour if contour is not None else texture
+        assert only is not None
+        yield "", 1.0, only
+        return
+    shape = _spread(limits.shape_part * size, limits.shape_deg)
+    elsewhere = _spread(limits.texture_part * size, limits.texture_deg)
+    apart = contour.motion - texture.motion
+    nothing = np.zeros((6, 6))
+    for name, prior, of_contour, of_texture in (
+        ("", 1 - limits.shape_prior - limits.texture_prior, nothing, nothing),
+        ("shape", limits.shape_prior, shape, nothing),
+        ("texture", limits.texture_prior, nothing, elsewhere),
+    ):
+        c, t = contour.covariance + of_contour, texture.covariance + of_texture
+        at = _joined(Located(contour.motion, c), Located(texture.motion, t))
+        weight = prior * _density(apart, c + t) * _label_density(at)
+        yield name, max(weight, 1e-300), at
+
+
+def _label_density(at: Located) -> float:
+    """Density of the distance between a label and its object: right, or off."""
+    limits = JudgeSettings.current()
+    right = _spread(limits.right_mm, limits.right_deg)
+    off = _spread(limits.off_mm, limits.off_deg)
+    return limits.label_prior * _density(at.motion, at.covariance + right) + (
+        1 - limits.label_prior
+    ) * _density(at.motion, at.covariance + off)
+
+
+def _spread(mm: float, deg: float) -> Array:
+    return np.diag(np.array([mm] * 3 + [deg] * 3) ** 2)
+
+
+def _density(x: Array, covariance: Array) -> float:
+    """Normal density, up to a constant."""
+    regular = covariance + 1e-6 * np.eye(6)
+    sign, log = np.linalg.slogdet(regular)
+    assert sign > 0
+    return float(np.exp(-0.5 * (x @ np.linalg.solve(regular, x) + log)))
+
+
+def _joined(a: Located, b: Located) -> Located:
+    """Two measurements weighted by their inverse covariances."""
+    A, B = (np.linalg.inv(s.covariance + 1e-8 * np.eye(6)) for s in (a, b))
+    covariance = np.linalg.inv(A + B)
+    return Located(covariance @ (A @ a.motion + B @ b.motion), covariance)
+
+
+@cache
+def _normal_samples() -> Array:
+    return np.random.default_rng(0).normal(size=(_SAMPLES // 2, 6))
+
+
+def _inside(at: Located, options: CheckOptions) -> tuple[float, float, float]:
+    """Probabilities that the motion lies within both limits, and within each."""
+    values, axes = np.linalg.eigh((at.covariance + at.covariance.T) / 2)
+    z = _normal_samples()
+    spread = np.concatenate([z, -z]) @ (axes * np.sqrt(np.maximum(values, 0))).T
+    motions = at.motion + spread
+    mm = np.linalg.norm(motions[:, _MM], axis=1) <= options.max_motion_mm
+    deg = np.linalg.norm(motions[:, _DEG], axis=1) <= options.max_motion_deg
+    return float((mm & deg).mean()), float(mm.mean()), float(deg.mean())
+
+
+def _verdict(probability: float, at: Located, options: CheckOptions) -> tuple[Verdict, str]:
+    limits = JudgeSettings.current()
+    if probability < limits.wrong:
+        return "wrong", "label"
+    if probability >= limits.fits:
+        return "fits", ""
+    blind = (
+        at.mm[1] > limits.blind * options.max_motion_mm
+        or at.deg[1] > limits.blind * options.max_motion_deg
+    )
+    if not blind:
+        return "doubtful", "label"
+    regular = at.covariance + 1e-8 * np.eye(6)
+    if float(at.motion @ np.linalg.solve(regular, at.motion)) > limits.significant_chi2:
+        return "doubtful", "label"
+    return "unknown", "blind"
+
+
+def _is_noted(apart: Array | None) -> bool:
+    limits = JudgeSettings.current()
+    return apart is not None and (
+        float(np.linalg.norm(apart[_MM])) >= limits.noted_mm
+        or float(np.linalg.norm(apart[_DEG])) >= limits.noted_deg
+    )
+
+
+def _sources(contour: Located | None, texture: Located | None, name: str) -> str:
+    if contour is None or name == "shape":
+        return "its texture"
+    if texture is None or name == "texture":
+        return "its contour"
+    return "texture and contour"
+
+
+def _reason(verdict: Verdict, cause: str, at: Located, apart: Array | None, said_by: str) -> str:
+    (mm, mm_std), (deg, deg_std) = at.mm, at.deg
+    beside = ""
+    if apart is not None:
+        far, turn = float(np.linalg.norm(apart[_MM])), float(np.linalg.norm(apart[_DEG]))
+        beside = f"{far:.1f} mm and {turn:.1f} deg"
+    if cause == "shape":
+        return (
+            "the mesh has another shape than the object: its texture fits the label, its contour "
+            f"lies {beside} beside"
+        )
+    if cause == "texture":
+        return (
+            "the object has its texture elsewhere than the mesh (another print run?): its contour "
+            f"fits the label, its texture lies {beside} beside"
+        )
+    if cause == "blind":
+        return (
+            f"its images determine it only to ± {mm_std:.1f} mm and ± {deg_std:.1f} deg along the "
+            "weakest direction"
+        )
+    if verdict == "fits":
+        word = "confirm" if " and " in said_by else "confirms"
+        return f"{said_by} {word} it to ± {mm_std:.1f} mm and ± {deg_std:.1f} deg"
+    plural = "put" if " and " in said_by else "puts"
+    return (
+        f"{said_by} {plural} it {mm:.1f} mm (± {at.along(_MM):.1f}) and {deg:.1f} deg "
+        f"(± {at.along(_DEG):.1f}) from its label"
+    )
