@@ -76,8 +76,6 @@ class JudgeSettings(Settings):
     """deviation of wrong labels"""
     off_deg: float = limit(8.0, unit="deg", source=NOT_RECORDED)
     """the same for their rotation"""
-    blind: float = limit(0.5, source="1.65 deviations on either side must lie within the limits")
-    """evidence whose deviation exceeds this part of a limit could not show a fault"""
     significant_chi2: float = limit(22.5, source="chance exceeds it once in a thousand times")
     """chi square with six degrees of freedom at which blind evidence speaks against a label"""
     noted_odds: float = limit(3.0, source=NOT_RECORDED)
@@ -261,11 +259,9 @@ def _verdict(probability: float, at: Located, options: CheckOptions) -> tuple[Ve
         return "wrong", "label"
     if probability >= limits.fits:
         return "fits", ""
-    blind = (
-        at.mm[1] > limits.blind * options.max_motion_mm
-        or at.deg[1] > limits.blind * options.max_motion_deg
-    )
-    if not blind:
+    # Evidence that would not confirm a right label either cannot show a fault.
+    at_label, _, _ = _inside(Located(np.zeros(6), at.covariance), options)
+    if at_label >= limits.fits:
         return "doubtful", "label"
     regular = at.covariance + 1e-8 * np.eye(6)
     if float(at.motion @ np.linalg.solve(regular, at.motion)) > limits.significant_chi2:

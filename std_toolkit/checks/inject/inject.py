@@ -7,7 +7,7 @@ is measured again only where the fault changes it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.detectability import Detectability, FaultRow, FaultTrial
+from std_toolkit.checks.gates.gate import REFUSED
 from std_toolkit.checks.gates.judge import judge_scene
 from std_toolkit.checks.inject.faults import (
     KINDS,
@@ -28,6 +29,7 @@ from std_toolkit.checks.inject.faults import (
 from std_toolkit.checks.measure.contours import LabelCaster, object_centre
 from std_toolkit.checks.measure.coverage import spread
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame, open_for_work
+from std_toolkit.checks.measure.textures import TextureFinding, compare_textures
 from std_toolkit.checks.result import CheckGate, CheckReport
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.options import CheckOptions
@@ -109,7 +111,7 @@ def inject_faults(
     """Put faults of growing size into the scene in memory and evaluate the gates.
 
     A fault is caught if a gate fails that passes without it, or if the verdict of its object
-    turns bad. Faults with two directions must be caught in both.
+    turns doubtful or wrong. Faults with two directions must be caught in both.
 
     Args:
         scene: an open scene; none of its files changes.
@@ -124,7 +126,8 @@ def inject_faults(
         ToolkitError: a file of a frame is missing or damaged.
     """
     base = spread(observed, options.inject_frames)
-    plain = judge_scene(scene, base, {}, options, up=up)
+    textures = compare_textures(scene, [scene.frame(o.frame) for o in base])
+    plain = judge_scene(scene, base, {}, options, up=up, compared=textures)
     labelled = [o for o in scene.objects.objects if any(o.id in f.objects for f in base)]
     chosen = spread(labelled, options.inject_objects)
     camera_frame = _camera_frame(base)
@@ -152,7 +155,7 @@ def inject_faults(
             outcomes = []
             for fault in search.next_faults():
                 measured = [job.results[_item_key(FaultItem(fault, i))] for i in search.frames]
-                report = _judge(scene, fault, base, measured, options, up)
+                report = _judge(scene, fault, base, measured, textures, options, up)
                 outcomes.append(_compare(plain, report, fault))
             search.record(outcomes)
         pending = [s for s in pending if not s.is_done]
@@ -235,6 +238,7 @@ def _judge(
     fault: Fault,
     base: Sequence[FrameObservation],
     measured: Sequence[FrameObservation],
+    textures: Mapping[int, TextureFinding],
     options: CheckOptions,
     up: NDArray[np.float64],
 ) -> CheckReport:
@@ -243,7 +247,14 @@ def _judge(
     observed = [_merged(o, again[o.frame], fault) if o.frame in again else o for o in base]
     # The label of an object that moved is right in the other frames.
     altered = scene if fault.name == "moved" else apply_fault(scene, fault)
-    return judge_scene(altered, observed, {}, options, up=up)
+    compared = dict(textures)
+    if fault.object in compared and fault.name == "moved":
+        # A texture that is seen in two places says nothing.
+        del compared[fault.object]
+    elif fault.object in compared and compared[fault.object].is_textured:
+        frames = [scene.frame(o.frame) for o in base]
+        compared |= compare_textures(altered, frames, only=[fault.object])
+    return judge_scene(altered, observed, {}, options, up=up, compared=compared)
 
 
 def _merged(base: FrameObservation, again: FrameObservation, fault: Fault) -> FrameObservation:
@@ -262,8 +273,8 @@ def _merged(base: FrameObservation, again: FrameObservation, fault: Fault) -> Fr
 def _compare(plain: CheckReport, report: CheckReport, fault: Fault) -> _Outcome:
     failed = {g.key for g in plain.failed_gates()}
     caught = [g.key for g in report.failed_gates() if g.key not in failed]
-    bad = {o.object for o in plain.objects if o.verdict == "wrong"}
-    new = {o.object for o in report.objects if o.verdict == "wrong"} - bad
+    refused = {o.object for o in plain.objects if o.verdict in REFUSED}
+    new = {o.object for o in report.objects if o.verdict in REFUSED} - refused
     if not caught and (new & {fault.object} if fault.object else new):
         caught = ["verdict"]
     return _Outcome(tuple(caught), {g.key: g for g in report.gates})

@@ -34,6 +34,11 @@ class TextureFinding:
     comparison: TextureComparison
     motion: TextureMotion | None = None
 
+    @property
+    def is_textured(self) -> bool:
+        """Whether the mesh has a texture that was looked for."""
+        return self.motion is not None or bool(np.isfinite(self.comparison.score))
+
 
 def compare_textures(
     scene: Scene, frames: Sequence[Frame], *, only: Collection[int] | None = None

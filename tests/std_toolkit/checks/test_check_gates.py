@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from std_toolkit.checks.gates.contour import is_uninformative
@@ -278,22 +279,35 @@ def finding(item: ObjectCheck, gate: str) -> GateFinding:
     return found
 
 
-@pytest.mark.parametrize(("motion_mm", "fails"), [(1.0, False), (4.5, True)])
-def test_pixels_count_where_the_motion_is_not_small(motion_mm: float, fails: bool) -> None:
-    item = mug(edge_px=5.0, edge_chance_px=20.0, motion_mm=motion_mm, motion_deg=0.5, confirmed=1.0)
-    gate = gates(item)["edges"]
-    assert (gate.status, gate.value) == (("fail", 5.0) if fails else ("pass", 3.0))
-    assert bool(finding(item, "edges").exempt) != fails
-    assert verdict(item) == ("wrong" if fails else "fits")
+def moved(motion_mm: float, texture_mm: float | None = None) -> ObjectCheck:
+    """An object whose contour, and whose texture, lie so far to the side."""
+    covariance = np.diag([0.5**2] * 3 + [0.3**2] * 3).ravel().tolist()
+    found = [("motion_mm", "contour", motion_mm)]
+    found += [] if texture_mm is None else [("texture_mm", "texture", texture_mm)]
+    values = [
+        Value(key=k, value=x, source=s, motion=[x, 0, 0, 0, 0, 0], covariance=covariance)  # type: ignore[arg-type]
+        for k, s, x in found
+    ]
+    item = mug(edge_px=5.0, edge_chance_px=20.0, confirmed=1.0, size_m=0.25)
+    return item.with_values(values)
 
 
-def test_a_mesh_of_another_shape_is_excused_with_its_reason() -> None:
-    item = mug(motion_mm=6.0, motion_deg=0.5, confirmed=1.0, texture=0.5, texture_verdict="fits")
-    assert gates(item)["motion"].value == 0
+@pytest.mark.parametrize(("motion_mm", "key"), [(1.0, ""), (9.0, "motion")])
+def test_pixels_do_not_count_where_the_motion_is_known(motion_mm: float, key: str) -> None:
+    item = moved(motion_mm)
+    failed = [g.key for g in gates(item).values() if g.status == "fail"]
+    assert failed == ([key] if key else [])
+    assert finding(item, "edges").exempt
+    assert verdict(item) == ("wrong" if key else "fits")
+
+
+def test_another_shape_is_told_only_where_the_texture_fits() -> None:
+    item = moved(7.0, texture_mm=0.2)
     assert "another shape" in finding(item, "motion").exempt
     assert any("another shape" in w.problem for w in judged(item).warnings)
-    plain = mug(motion_mm=6.0, motion_deg=0.5, confirmed=1.0)
-    assert gates(plain)["motion"].status == "fail" and not finding(plain, "motion").exempt
+    assert verdict(item) == "fits"
+    both = moved(7.0, texture_mm=7.0)
+    assert verdict(both) == "wrong" and not finding(both, "motion").exempt
 
 
 def test_glass_is_exempt_from_evidence_and_stays_doubtful() -> None:

@@ -154,7 +154,7 @@ def test_a_gate_without_a_value_is_open_and_says_nothing_of_an_object() -> None:
     ("verdicts", "worst"),
     [
         (["fits", "doubtful"], "doubtful"),
-        (["doubtful", "unknown"], "unknown"),
+        (["doubtful", "unknown"], "doubtful"),
         (["unknown", "wrong"], "wrong"),
         (["fits", "fits"], "fits"),
     ],

@@ -1,0 +1,130 @@
+"""The verdict on a pose from the motions that contour and texture see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from std_toolkit.checks.gates.hypotheses import JudgeSettings, Weighed, weigh
+from std_toolkit.checks.result import ObjectCheck, Value
+from std_toolkit.options import CheckOptions
+from std_toolkit.settings import override
+
+OPTIONS = CheckOptions()  # 4 mm, 2.5 deg
+
+
+def seen(
+    contour: Sequence[float] | None = None,
+    texture: Sequence[float] | None = None,
+    *,
+    mm: float = 0.5,
+    deg: float = 0.3,
+    size_m: float = 0.25,
+) -> Weighed:
+    """The verdict on an object that contour and texture see at these motions, mm and degrees."""
+    values = [Value(key="size_m", value=size_m, source="label")]
+    covariance = np.diag([mm**2] * 3 + [deg**2] * 3).ravel().tolist()
+    if contour is not None:
+        values.append(
+            Value(key="motion_mm", source="contour", motion=list(contour), covariance=covariance)
+        )
+        values.append(Value(key="confirmed", value=1.0, source="contour", text="yes"))
+    if texture is not None:
+        values.append(
+            Value(key="texture_mm", source="texture", motion=list(texture), covariance=covariance)
+        )
+    found = weigh(
+        ObjectCheck(
+            object=1,
+            name="box",
+            model="box",
+            category="box",
+            material="diffuse",
+            label="refined",
+            values=values,
+        ),
+        OPTIONS,
+    )
+    assert found is not None
+    return found
+
+
+def aside(mm: float, deg: float = 0.0) -> list[float]:
+    return [mm, 0.0, 0.0, 0.0, 0.0, deg]
+
+
+def test_a_label_that_both_see_in_place_fits() -> None:
+    found = seen(aside(0.3), aside(-0.2))
+    assert (found.verdict, found.cause) == ("fits", "")
+    assert found.probability > 0.999
+
+
+@pytest.mark.parametrize("off", [aside(8), aside(0, 5), aside(-12, 3)])
+def test_a_fault_that_both_see_is_no_other_shape(off: list[float]) -> None:
+    found = seen(off, off)
+    assert (found.verdict, found.cause) == ("wrong", "label")
+    np.testing.assert_allclose(found.located.motion, off, atol=0.05)
+
+
+@pytest.mark.parametrize("contour", [aside(6), aside(5, 2), aside(-8, 1)])
+def test_a_texture_in_place_tells_another_shape(contour: list[float]) -> None:
+    found = seen(contour, aside(0.2))
+    assert (found.verdict, found.cause) == ("fits", "shape")
+    assert "another shape" in found.reason
+
+
+def test_a_contour_in_place_tells_another_edition() -> None:
+    found = seen(aside(0.2), aside(7, 2.7))
+    assert (found.verdict, found.cause) == ("fits", "texture")
+
+
+def test_sources_that_see_different_faults_excuse_nothing() -> None:
+    assert seen(aside(10), [0, 10, 0, 0, 0, 0]).verdict in ("doubtful", "wrong")
+
+
+@pytest.mark.parametrize("mm", [3.0, 4.0, 5.0])
+def test_a_motion_near_the_limit_is_doubtful(mm: float) -> None:
+    assert seen(None, aside(mm), mm=1.0).verdict == "doubtful"
+
+
+def test_evidence_that_could_not_see_a_fault_leaves_it_unknown() -> None:
+    found = seen(aside(0), mm=3.0)
+    assert (found.verdict, found.cause) == ("unknown", "blind")
+    assert seen(aside(0), deg=2.0).verdict == "unknown"
+
+
+def test_blind_evidence_can_still_refuse() -> None:
+    assert seen(aside(18), mm=3.0).verdict == "wrong"
+
+
+def test_the_probability_is_that_of_a_normal_distribution() -> None:
+    # One direction: the others are known.
+    from scipy.stats import norm
+
+    covariance = np.diag([1.5**2, 0, 0, 0, 0, 0]).ravel().tolist()
+    item = ObjectCheck(
+        object=1,
+        name="box",
+        model="box",
+        category="box",
+        material="diffuse",
+        label="refined",
+        values=[Value(key="texture_mm", source="texture", motion=aside(3), covariance=covariance)],
+    )
+    found = weigh(item, OPTIONS)
+    assert found is not None
+    exact = norm.cdf((4 - 3) / 1.5) - norm.cdf((-4 - 3) / 1.5)
+    assert found.probability == pytest.approx(exact, abs=0.02)
+
+
+def test_the_verdict_only_gets_worse_with_the_motion() -> None:
+    order = ["fits", "doubtful", "wrong"]
+    grades = [order.index(seen(aside(x), aside(x)).verdict) for x in np.arange(0, 9, 0.5)]
+    assert grades == sorted(grades) and set(grades) == {0, 1, 2}
+
+
+def test_the_limits_are_settings() -> None:
+    with override(JudgeSettings(fits=0.4, wrong=0.01)):
+        assert seen(None, aside(3.9), mm=0.5).verdict == "fits"
