@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks import result
-from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
+from std_toolkit.checks.gates import contour, depth, frames, motion, placement, poses, texture
 from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.gates.hypotheses import weigh
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
 from std_toolkit.checks.measure.object_motion import with_motions
+from std_toolkit.checks.measure.placements import with_placements
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
@@ -29,6 +30,7 @@ _FAMILIES = (
     *frames.GATES,
     *motion.GATES,
     *texture.GATES,
+    *placement.GATES,
 )
 _added: list[Gate] = []
 # From the best verdict to the worst.
@@ -97,6 +99,7 @@ def judge_scene(
     materials = aggregate.check_materials(scene, observed)
     objects = textures.with_textures(objects, compared or {})
     objects = with_motions(scene, objects, observed, options)
+    objects = with_placements(scene, objects)
     summary = _summary(scene, objects, rows, observed, bias)
     summary = msgspec.structs.replace(summary, sizes=sizes)
     report = judge_rows(
