@@ -10,9 +10,9 @@ explanations are compared by their likelihood:
 - "texture": the object has its texture elsewhere than the mesh, as packaging of another print run;
   its contour tells where it is.
 
-A label near one of them counts for the explanation under which it is right. The pose of the object
-is then known as a mixture of normal distributions, from which the probability follows that the
-label lies within the limits.
+A label is right, or off in place, in turn, or in both: a prior distribution of its motion. With it
+the motion is known as a mixture of normal distributions, from which the probability follows that
+the label lies within the limits.
 
 Motions are vectors (6,): translation of the object's centre in mm, and rotation vector about it in
 degrees, along the axes of the world.
@@ -20,7 +20,7 @@ degrees, along the axes of the world.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -46,11 +46,11 @@ class JudgeSettings(Settings):
     wrong: float = limit(0.05, source="as usual for a test")
     """a label is wrong below this probability"""
     deviation_factor: Mapping[str, float] = limit(
-        {"specular": 1.5, "transparent": 1.5},
+        {"specular": 1.0, "transparent": 1.0},
         source=NOT_RECORDED,
     )
     """factor on the deviations of a contour's motion, by material"""
-    opaque_factor: float = limit(1.5, source=NOT_RECORDED)
+    opaque_factor: float = limit(1.0, source=NOT_RECORDED)
     """the same for other materials"""
     mesh_part: float = limit(0.003, source="scanned meshes and measured ones")
     """deviation of the place of a contour by the mesh, in parts of the object's size"""
@@ -66,18 +66,18 @@ class JudgeSettings(Settings):
     """share of the objects that have another shape than their mesh"""
     texture_prior: float = limit(0.05, source=NOT_RECORDED)
     """share of the objects that have their texture elsewhere"""
-    label_prior: float = limit(0.5, source="half of the labels may be wrong")
-    """share of the labels that are right"""
     right_mm: float = limit(1.5, unit="mm", source="refined labels")
     """deviation of right labels"""
     right_deg: float = limit(0.8, unit="deg", source="refined labels")
     """the same for their rotation"""
-    off_mm: float = limit(12.0, unit="mm", source=NOT_RECORDED)
-    """deviation of wrong labels"""
-    off_deg: float = limit(8.0, unit="deg", source=NOT_RECORDED)
+    off_mm: float = limit(5.0, unit="mm", source="faults up to 15 mm long")
+    """deviation of wrong labels along each axis"""
+    off_deg: float = limit(3.3, unit="deg", source="faults up to 10 degrees")
     """the same for their rotation"""
-    significant_chi2: float = limit(22.5, source="chance exceeds it once in a thousand times")
-    """chi square with six degrees of freedom at which blind evidence speaks against a label"""
+    right_prior: float = limit(0.5, source="half of the labels may be wrong")
+    """share of the labels that are right; the others are off in place, turn, or both"""
+    blind: float = limit(0.5, source="such a fault would look right rather than wrong")
+    """evidence is blind that leaves a label with a fault of twice a limit more probability"""
     noted_odds: float = limit(3.0, source=NOT_RECORDED)
     """an explanation is told where it is more likely than all others by this factor"""
     noted_mm: float = limit(2.0, unit="mm", source=NOT_RECORDED)
@@ -161,65 +161,94 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     size = 1000 * (item.value("size_m") or 0.1)
     if contour is not None and item.text("confirmed") == "no":
         contour = None
-    if contour is not None:
-        factor = limits.deviation_factor.get(item.material, limits.opaque_factor)
-        mesh = _spread(limits.mesh_part * size, 0.1)
-        contour = Located(contour.motion, contour.covariance * factor**2 + mesh)
     if contour is None and texture is None:
         return None
-    found = list(_explanations(contour, texture, size))
-    weights = np.array([weight for _, weight, _ in found])
-    weights = weights / weights.sum()
-    best = int(weights.argmax())
-    name, _, located = found[best]
-    inside = [_inside(at, options) for _, _, at in found]
-    total, mm, deg = (float(weights @ np.array(column)) for column in zip(*inside, strict=True))
+    scatter = _Scatter.of(contour or texture)
+    if contour is not None:
+        factor = limits.deviation_factor.get(item.material, limits.opaque_factor)
+        mesh = scatter(limits.mesh_part * size, 0.1)
+        contour = Located(contour.motion, contour.covariance * factor**2 + mesh)
+    found = list(_explanations(contour, texture, size, scatter))
+    best = max(found, key=lambda one: one.weight)
+    total, mm, deg = _inside(found, options)
     apart = None if contour is None or texture is None else contour.motion - texture.motion
-    odds = weights[best] / max(1 - weights[best], 1e-9)
-    verdict, cause = _verdict(total, located, options)
-    if cause in ("", "label") and name and odds >= limits.noted_odds and _is_noted(apart):
-        cause = name if verdict == "fits" else cause
-    reason = _reason(verdict, cause, located, apart, _sources(contour, texture, name))
-    return Weighed(verdict, total, mm, deg, cause, reason, located, apart)
+    odds = best.weight / max(sum(one.weight for one in found) - best.weight, 1e-300)
+    verdict, cause = _verdict(total, best.at, scatter, options)
+    if verdict == "fits" and best.name and odds >= limits.noted_odds and _is_noted(apart):
+        cause = best.name
+    reason = _reason(verdict, cause, best.at, apart, _sources(contour, texture, best.name))
+    return Weighed(verdict, total, mm, deg, cause, reason, best.at, apart)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scatter:
+    """Covariances of errors in all directions that the symmetry of an object does not undo."""
+
+    kept: Array
+
+    @staticmethod
+    def of(located: Located | None) -> _Scatter:
+        assert located is not None
+        values, axes = np.linalg.eigh((located.covariance + located.covariance.T) / 2)
+        known = axes[:, values > 1e-6 * max(float(values[-1]), 1e-12)]
+        return _Scatter(known @ known.T)
+
+    def __call__(self, mm: float, deg: float) -> Array:
+        return self.kept @ np.diag(np.array([mm] * 3 + [deg] * 3) ** 2) @ self.kept
+
+
+@dataclass(frozen=True, eq=False)
+class _Explanation:
+    """Where an object is if an explanation holds, and how likely that is.
+
+    Attributes:
+        name: "", "shape" or "texture".
+        weight: of the explanation and the kind of label.
+        at: where the evidence puts it.
+        posterior: the same with what is known of labels of this kind.
+    """
+
+    name: str
+    weight: float
+    at: Located
+    posterior: Located
 
 
 def _explanations(
-    contour: Located | None, texture: Located | None, size: float
-) -> Iterable[tuple[str, float, Located]]:
-    """Name, weight and place of the object for each explanation."""
+    contour: Located | None, texture: Located | None, size: float, scatter: _Scatter
+) -> Iterable[_Explanation]:
+    """Each explanation with each kind of label."""
     limits = JudgeSettings.current()
-    if contour is None or texture is None:
-        only = contour if contour is not None else texture
-        assert only is not None
-        yield "", 1.0, only
-        return
-    shape = _spread(limits.shape_part * size, limits.shape_deg)
-    elsewhere = _spread(limits.texture_part * size, limits.texture_deg)
-    apart = contour.motion - texture.motion
     nothing = np.zeros((6, 6))
-    for name, prior, of_contour, of_texture in (
+    shape = scatter(limits.shape_part * size, limits.shape_deg)
+    elsewhere = scatter(limits.texture_part * size, limits.texture_deg)
+    options = [
         ("", 1 - limits.shape_prior - limits.texture_prior, nothing, nothing),
         ("shape", limits.shape_prior, shape, nothing),
         ("texture", limits.texture_prior, nothing, elsewhere),
-    ):
-        c, t = contour.covariance + of_contour, texture.covariance + of_texture
-        at = _joined(Located(contour.motion, c), Located(texture.motion, t))
-        weight = prior * _density(apart, c + t) * _label_density(at)
-        yield name, max(weight, 1e-300), at
-
-
-def _label_density(at: Located) -> float:
-    """Density of the distance between a label and its object: right, or off."""
-    limits = JudgeSettings.current()
-    right = _spread(limits.right_mm, limits.right_deg)
-    off = _spread(limits.off_mm, limits.off_deg)
-    return limits.label_prior * _density(at.motion, at.covariance + right) + (
-        1 - limits.label_prior
-    ) * _density(at.motion, at.covariance + off)
-
-
-def _spread(mm: float, deg: float) -> Array:
-    return np.diag(np.array([mm] * 3 + [deg] * 3) ** 2)
+    ]
+    off = (1 - limits.right_prior) / 3
+    right, wrong = (limits.right_mm, limits.right_deg), (limits.off_mm, limits.off_deg)
+    labels = [
+        (limits.right_prior, scatter(*right)),
+        (off, scatter(wrong[0], right[1])),
+        (off, scatter(right[0], wrong[1])),
+        (off, scatter(*wrong)),
+    ]
+    if contour is None or texture is None:
+        options = options[:1]
+    for name, prior, of_contour, of_texture in options:
+        if contour is not None and texture is not None:
+            c, t = contour.covariance + of_contour, texture.covariance + of_texture
+            at = _joined(Located(contour.motion, c), Located(texture.motion, t))
+            prior *= _density(contour.motion - texture.motion, c + t)
+        else:
+            at = contour if contour is not None else texture  # type: ignore[assignment]
+        for share, spread in labels:
+            weight = prior * share * _density(at.motion, at.covariance + spread)
+            yield _Explanation(
+                name, max(weight, 1e-300), at, _joined(at, Located(np.zeros(6), spread))
+            )
 
 
 def _density(x: Array, covariance: Array) -> float:
@@ -239,34 +268,50 @@ def _joined(a: Located, b: Located) -> Located:
 
 @cache
 def _normal_samples() -> Array:
-    return np.random.default_rng(0).normal(size=(_SAMPLES // 2, 6))
+    half = np.random.default_rng(0).normal(size=(_SAMPLES // 2, 6))
+    return np.concatenate([half, -half])
 
 
-def _inside(at: Located, options: CheckOptions) -> tuple[float, float, float]:
+def _inside(found: Sequence[_Explanation], options: CheckOptions) -> tuple[float, float, float]:
     """Probabilities that the motion lies within both limits, and within each."""
-    values, axes = np.linalg.eigh((at.covariance + at.covariance.T) / 2)
-    z = _normal_samples()
-    spread = np.concatenate([z, -z]) @ (axes * np.sqrt(np.maximum(values, 0))).T
-    motions = at.motion + spread
-    mm = np.linalg.norm(motions[:, _MM], axis=1) <= options.max_motion_mm
-    deg = np.linalg.norm(motions[:, _DEG], axis=1) <= options.max_motion_deg
-    return float((mm & deg).mean()), float(mm.mean()), float(deg.mean())
+    total = sum(one.weight for one in found)
+    sums = np.zeros(3)
+    for one in found:
+        if one.weight < 1e-4 * total:
+            continue
+        at = one.posterior
+        values, axes = np.linalg.eigh((at.covariance + at.covariance.T) / 2)
+        motions = at.motion + _normal_samples() @ (axes * np.sqrt(np.maximum(values, 0))).T
+        mm = np.linalg.norm(motions[:, _MM], axis=1) <= options.max_motion_mm
+        deg = np.linalg.norm(motions[:, _DEG], axis=1) <= options.max_motion_deg
+        sums += one.weight / total * np.array([(mm & deg).mean(), mm.mean(), deg.mean()])
+    both, mm_only, deg_only = (float(min(x, 1.0)) for x in sums)
+    return both, mm_only, deg_only
 
 
-def _verdict(probability: float, at: Located, options: CheckOptions) -> tuple[Verdict, str]:
+def _verdict(
+    probability: float, at: Located, scatter: _Scatter, options: CheckOptions
+) -> tuple[Verdict, str]:
     limits = JudgeSettings.current()
     if probability < limits.wrong:
         return "wrong", "label"
-    if probability >= limits.fits:
-        return "fits", ""
-    # Evidence that would not confirm a right label either cannot show a fault.
-    at_label, _, _ = _inside(Located(np.zeros(6), at.covariance), options)
-    if at_label >= limits.fits:
-        return "doubtful", "label"
-    regular = at.covariance + 1e-8 * np.eye(6)
-    if float(at.motion @ np.linalg.solve(regular, at.motion)) > limits.significant_chi2:
-        return "doubtful", "label"
-    return "unknown", "blind"
+    if _is_blind(at, scatter, options):
+        return ("doubtful", "label") if probability < limits.blind else ("unknown", "blind")
+    return ("fits", "") if probability >= limits.fits else ("doubtful", "label")
+
+
+def _is_blind(at: Located, scatter: _Scatter, options: CheckOptions) -> bool:
+    """Whether a fault of twice a limit along the weakest direction would look right."""
+    limits = JudgeSettings.current()
+    for part, size in ((_MM, options.max_motion_mm), (_DEG, options.max_motion_deg)):
+        block = at.covariance[part, part]
+        axis = np.linalg.eigh((block + block.T) / 2)[1][:, -1]
+        motion = np.zeros(6)
+        motion[part] = 2 * size * axis
+        faulty = Located(motion, at.covariance)
+        if _inside(list(_explanations(faulty, None, 0.0, scatter)), options)[0] > limits.blind:
+            return True
+    return False
 
 
 def _is_noted(apart: Array | None) -> bool:

@@ -15,6 +15,7 @@ from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.motion import INDEPENDENT_PX, FiledEquations, MotionEquations
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import Symmetry
+from std_toolkit.labels.refine.edges.uncertainty import disagreement
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
@@ -133,9 +134,11 @@ def solve_motion(
         std = _deviation(rows, xi)
         information, squares = _information(rows, xi, std)
     covariance = np.linalg.inv(information + prior).astype(np.float64)
+    covariance *= disagreement(_by_frame(equations, xi, std))
     # px per metre and per radian.
-    for part, square in zip((slice(3), slice(3, 6)), squares, strict=True):
-        covariance[part, part] += np.eye(3) * systematic_px**2 / max(square, 1e-9)
+    shared = np.diag(np.repeat([systematic_px**2 / max(s, 1e-9) for s in squares], 3))
+    kept = _without(free)
+    covariance[:6, :6] += kept @ shared @ kept.T
     return Motion(
         xi[:6],
         covariance[:6, :6],
@@ -280,6 +283,28 @@ def _information(rows: _Rows, motion: Array, std: float) -> tuple[Array, tuple[f
         radians += float((J[:, 3:6] ** 2).sum(axis=1).sum())
         count += len(J)
     return np.asarray(total), (metres / count, radians / count)
+
+
+def _by_frame(
+    equations: Sequence[MotionEquations | FiledEquations], motion: Array, std: float
+) -> list[tuple[Array, Array]]:
+    """Information (6, 6) and gradient (6,) of each frame: errors of its camera shift all edges."""
+    found = []
+    for entry in equations:
+        block = _Block.of([entry], len(motion))
+        e = block.offsets - (block.jacobian @ motion)[:, None]
+        weight = block.share[:, None] * block.responsibility(motion)[0] / std**2
+        J = block.jacobian[:, :6]
+        found.append(((J * weight.sum(axis=1)[:, None]).T @ J, J.T @ (weight * e).sum(axis=1)))
+    return found
+
+
+def _without(free: Array | None) -> Array:
+    """(6, 6) projection that takes away what a symmetry leaves open."""
+    if free is None or not len(free):
+        return np.eye(6)
+    F = np.asarray(free, dtype=np.float64)
+    return np.asarray(np.eye(6) - F.T @ np.linalg.pinv(F @ F.T) @ F)
 
 
 def _significant_part(vector: Array, covariance: Array) -> Array:

@@ -54,7 +54,7 @@ class ConfirmationSettings(Settings):
     opaque_size_std: float = limit(0.004, source=NOT_RECORDED)
     """the same on other materials"""
     systematic_px: Mapping[str, float] = limit(
-        {"specular": 1.0, "transparent": 0.4},
+        {"specular": 0.5, "transparent": 0.3},
         unit="px",
         source="reflections and refraction move the edges of contours",
     )
