@@ -1,7 +1,5 @@
 """`std-report`: leaderboards and a page of what `std-bench` measured."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

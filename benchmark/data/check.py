@@ -1,7 +1,5 @@
 """Check of a split on disk: what exists, what is missing, and where to download it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -28,8 +28,6 @@ Every capture shows a different arrangement, so each is a separate scene.
 Source of the names: the data set's repository, github.com/Shreeyak/cleargrasp.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Common parts of loaders: compact lists of scenes and frames, reading and checking of maps."""
 
-from __future__ import annotations
-
 import os
 import re
 from bisect import bisect_right

@@ -1,7 +1,5 @@
 """The depth that a task works on: raw, true, by a restorer, or saved in a folder."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

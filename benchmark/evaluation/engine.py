@@ -4,8 +4,6 @@ A run is a folder. Its manifest is written first; its table is written in parts.
 the same if the run is interrupted, killed or spread over machines.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import time

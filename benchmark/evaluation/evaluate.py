@@ -1,7 +1,5 @@
 """Score methods: what `std-bench` and Python have in common, and `evaluate`."""
 
-from __future__ import annotations
-
 import importlib
 import uuid
 from collections.abc import Callable, Mapping, Sequence

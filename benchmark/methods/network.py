@@ -5,8 +5,6 @@ the image. The output is relative to the sensor's depth at low resolution, with 
 their surroundings: an output of 0 repeats the sensor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 

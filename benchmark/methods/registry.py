@@ -3,8 +3,6 @@
 Errors are one line that names the method and the field.
 """
 
-from __future__ import annotations
-
 import hashlib
 import traceback
 from collections.abc import Callable, Mapping, Sequence

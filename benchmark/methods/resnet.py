@@ -3,8 +3,6 @@
 Keys and shapes match the ImageNet weights that torchvision publishes.
 """
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 from torch.nn.functional import relu
 

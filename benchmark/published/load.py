@@ -9,8 +9,6 @@ and Grasping Specular and Transparent Objects", ECCV 2022, main paper and supple
 Category-level poses as the paper prints them, in the names and units of this benchmark.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

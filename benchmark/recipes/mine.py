@@ -1,7 +1,5 @@
 """`std-train mine`: shipped weights fine-tuned on your objects, scored before and after."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

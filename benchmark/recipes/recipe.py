@@ -4,8 +4,6 @@ A recipe is a TOML file; those of the toolkit are in `experiments/`. A `Scale`, 
 `scales.toml`, sets the size of a run: scenes, views, image size, steps and size of the networks.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Every pair is compared on the frames that both were scored on. The interval of t
 the p-value are over scenes, because frames of one scene show the same objects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping, Sequence
 from math import isnan, nan
 from typing import Any

@@ -1,7 +1,5 @@
 """The tables of a recipe as CSV, Markdown and a page; each states the scale."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The table of a recipe's pose methods: measured rows and published ones."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from benchmark.evaluation.tasks.pose_results import (

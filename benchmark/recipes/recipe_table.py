@@ -1,7 +1,5 @@
 """The table of a recipe: measured rows and published ones."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from benchmark.evaluation.tasks.depth_results import OVER_ALL, summarise

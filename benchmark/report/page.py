@@ -1,7 +1,5 @@
 """The report: one self-contained HTML page with a part for each task."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

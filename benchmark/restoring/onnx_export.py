@@ -6,8 +6,6 @@ within the safetensors file beside them (`write_graph`). A user's file holds its
 Source: "External Data" and "Intermediate Representation", onnx.ai.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import struct

@@ -1,7 +1,5 @@
 """Files of restored frames: depth, confidence, changed pixels, points, pictures, the record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`std-restore`: restore all frames of recordings, in parallel, resumed after an interruption."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """A video of a restored recording: colour, raw and restored depth side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -6,8 +6,6 @@ reached, which ends the attempt. The fingers are coupled, as in the Panda grippe
 limited force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

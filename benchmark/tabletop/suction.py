@@ -5,8 +5,6 @@ meshes where it stopped. A sealed cup is fixed to the object, and lets go once t
 torque between them is more than it holds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

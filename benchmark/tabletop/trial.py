@@ -4,8 +4,6 @@ Servos of limited force move the tool along the three world axes with fixed orie
 with a stiff wrist in a straight move.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

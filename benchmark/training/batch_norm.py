@@ -5,8 +5,6 @@ them, of which the last ten batches decide most. Where a batch has few numbers f
 at the top of a pooled pyramid, these means change from batch to batch, and with them the answers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

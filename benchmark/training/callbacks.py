@@ -1,7 +1,5 @@
 """Callbacks of a training: validation, pictures, checkpoints, logs."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 Also gives the `std-bench` command that uses the weights.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re

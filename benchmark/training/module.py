@@ -3,8 +3,6 @@
 All random numbers of a step are a function of its number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

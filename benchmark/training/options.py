@@ -3,8 +3,6 @@
 The command line is made from these dataclasses; see `std_toolkit.cli.command_options`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

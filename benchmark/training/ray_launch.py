@@ -1,7 +1,5 @@
 """Training on the processes of a Ray cluster with Ray Train (extra `cluster`)."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Inputs and results of training steps: batches, losses and their protocols."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 

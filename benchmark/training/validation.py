@@ -1,7 +1,5 @@
 """Validation on held-out frames: errors and pictures."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Figures of BOP result files: recalls, precisions, objects and intervals, from the table."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The depth restoration task: one method on one split by one protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product

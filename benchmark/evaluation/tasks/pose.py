@@ -1,7 +1,5 @@
 """The category-level pose task: one method on one split with one depth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

@@ -1,7 +1,5 @@
 """Results of pose runs: reading, scores by protocol and material with intervals, tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ here give the published number of parameters, 1.251 million. `released` is the n
 authors' program (TransCG), with its keys: their weights fit and give their answers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ Keys and shapes match the published weights, and so do the answers of the publis
 can start from ImageNet weights of ResNet-34.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

@@ -6,8 +6,6 @@ are those of SwinDRNet, so that the branch on depth is what differs. PointNet++ 
 own paper (Qi et al., NeurIPS 2017).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

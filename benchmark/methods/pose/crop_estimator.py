@@ -4,8 +4,6 @@ Objects come from true masks or from another method. A network says the normalis
 object's points and how large its box is; pose and size are fitted to them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

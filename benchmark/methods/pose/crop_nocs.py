@@ -7,8 +7,6 @@ mask upright. Coordinates are chosen among bins
 about y have no front: +x of theirs is the side that faces the camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple

@@ -1,7 +1,5 @@
 """Base of pose networks: tensors from views, poses from NOCS coordinates at pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 

@@ -1,7 +1,5 @@
 """Geometry of parallel-jaw grippers, as boxes in the frame of a grasp."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

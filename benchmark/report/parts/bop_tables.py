@@ -1,7 +1,5 @@
 """Tables of the report on instance-level poses (BOP), with published figures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

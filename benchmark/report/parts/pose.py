@@ -1,7 +1,5 @@
 """Report parts of category-level and instance-level poses, with the effect of restored depth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

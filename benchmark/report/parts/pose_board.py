@@ -6,8 +6,6 @@ differences per scene. But if the depth had no effect, the predictions of each s
 swapped between the two depths, and the figures of all swapped tables would be equally likely.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Training of SPD and SGPA on object crops, and validation of all networks over crops."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache

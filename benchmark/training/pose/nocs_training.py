@@ -1,7 +1,5 @@
 """Training and validation of networks that predict NOCS coordinates."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast

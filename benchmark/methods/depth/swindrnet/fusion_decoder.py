@@ -8,8 +8,6 @@ learns faster (Xiao et al., NeurIPS 2021), and uses their features to restore th
 (U-Net, Ronneberger et al., MICCAI 2015).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import torch

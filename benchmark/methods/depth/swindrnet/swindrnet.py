@@ -6,8 +6,6 @@ are formed before the upsampling, with a quarter of the pixels or less, because 
 Linear layers become convolutions, which oneDNN runs several times as fast on some processors.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 The streams, Swin transformers with fusion at each level, are shared with the pose network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol

@@ -1,7 +1,5 @@
 """The antipodal planner and its settings."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Prior files: safetensors with (p, 3) float32 points for each category."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

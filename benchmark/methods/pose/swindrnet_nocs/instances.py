@@ -1,7 +1,5 @@
 """Objects of an image from the classes of its pixels."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

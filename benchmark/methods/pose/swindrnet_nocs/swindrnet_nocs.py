@@ -5,8 +5,6 @@ and its confidence, which are not used; its NOCS decoder predicts 1 - z instead 
 images of the data set.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Fuses colour and point features as in the published network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
