@@ -271,6 +271,30 @@ class BopConfig(TaskConfig):
         check_lists(self, "results", "errors")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ListOptions:
+    """List the methods or the splits that there are."""
+
+    what: Literal["methods", "splits"]
+    """what to list"""
+    task: Literal["depth", "pose", "grasp"] = "depth"
+    """whose methods"""
+    json: bool = False
+    """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckDataOptions:
+    """Report which files of a split are there and which are missing."""
+
+    root: Path
+    """folder above the data sets, or of the split"""
+    splits: tuple[str, ...] = field(metadata={"option": "split"})
+    """names of `std-bench list splits`"""
+    json: bool = False
+    """print JSON"""
+
+
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:
     """Return the options of each method, by its name.
 

@@ -4,6 +4,7 @@ Errors are one line that names the method and the field.
 """
 
 import hashlib
+import inspect
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -68,6 +69,13 @@ class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
     ) -> None:
         super().__init__(group, builtin)
         self.called, self.has, self.guide = called, has, guide
+
+    def about(self, name: str) -> str:
+        """A line about a method, or why it is not usable here."""
+        try:
+            return (inspect.getdoc(self.get(name)) or "").partition("\n")[0]
+        except ToolkitError as error:
+            return f"not usable here: {error.problem}"
 
     def make(self, name: str, options: MethodOptions | None = None) -> T:
         """A method by its name, by `package.module:Class`, or by `file.py:Class`.

@@ -12,7 +12,7 @@ from benchmark.evaluation.tasks.depth_results import RunResult, read_run, summar
 from benchmark.methods.registry import MethodOptions, shipped_weights
 from benchmark.recipes.frame_sets import FrameSet
 from benchmark.recipes.recipe_plan import Entry, Pack
-from benchmark.recipes.recipe_run import Trained, make_pack, train
+from benchmark.recipes.recipe_run import Trained, make_pack, scoring_devices, train
 from benchmark.training.options import BatchNormStatistics, MineOptions, TrainOptions
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
@@ -238,7 +238,7 @@ def _score(
             protocol="strict",
             label=label,
             out=report.results / frames.name,
-            devices=_devices(options),
+            devices=scoring_devices(options.machine)[:1],
             limit=None,
             speed=False,
         )
@@ -252,14 +252,6 @@ def _score(
         raise ToolkitError(next(iter(done.failed.values())), path=report.results)
     before, after = (read_run(run.folder) for run in done.finished)
     return _compared(before, after)
-
-
-def _devices(options: MineOptions) -> tuple[str, ...]:
-    import torch
-
-    if options.machine.accelerator != "cpu" and torch.cuda.is_available():
-        return ("cuda:0",)
-    return ("cpu",)
 
 
 def _compared(before: RunResult, after: RunResult) -> Score:

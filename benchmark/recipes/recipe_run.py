@@ -248,3 +248,12 @@ def train(entry: Entry, machine: Machine) -> Trained:
         batch_size=config.optimization.batch_size,
         best_step=best.get("step"),
     )
+
+
+def scoring_devices(machine: Machine) -> tuple[str, ...]:
+    """Torch devices to score on, where networks are trained on `machine`."""
+    import torch
+
+    if machine.accelerator != "cpu" and torch.cuda.is_available():
+        return tuple(f"cuda:{i}" for i in range(torch.cuda.device_count()))
+    return ("cpu",)

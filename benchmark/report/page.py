@@ -87,6 +87,16 @@ def make_parts(folders: Sequence[Path], *, published: bool = True) -> list[Repor
     return [task.part(found, published=published) for task, found in holds.items() if found]
 
 
+def markdown_tables(folders: Sequence[Path]) -> str:
+    """Return the Markdown tables of all tasks that have results in these folders; may be none.
+
+    Raises:
+        ToolkitError: as `make_parts`.
+    """
+    files = [item for part in make_parts(folders) for item in part.files.items()]
+    return "\n\n".join(text for name, text in files if name.endswith(".md"))
+
+
 def render_page(parts: Sequence[ReportPart]) -> str:
     """Render the parts as HTML; the same results give the same bytes."""
     titles = [part.title for part in parts]

@@ -77,6 +77,29 @@ class RestoreReport:
         names = ("measured", "kept", "filled", "replaced", "empty")
         return {n: sum(getattr(r, n) for r in rows) / len(rows) for n in names} if rows else {}
 
+    def lines(self) -> list[str]:
+        """A line on each recording, for the terminal."""
+        found = []
+        for name, out in self.folders.items():
+            shares = self.shares(name)
+            told = ", ".join(f"{100 * shares[key]:.1f} % {key}" for key in list(shares)[1:])
+            text = f"{len(self.frames[name])} frames; of the pixels {told}"
+            found.append(f"{out}: {text if shares else 'no frame restored'}")
+        return found
+
+    def records(self) -> list[dict[str, Any]]:
+        """The same, for JSON."""
+        return [
+            {
+                "recording": name,
+                "out": str(out),
+                "frames": len(self.frames[name]),
+                "failed": [k for k in self.failed if k.startswith(f"{name}/")],
+                **self.shares(name),
+            }
+            for name, out in self.folders.items()
+        ]
+
 
 def restore_recordings(options: RestoreOptions) -> RestoreReport:
     """Restore all frames; those that are done and whose images are the same are skipped.
