@@ -322,7 +322,5 @@ def check_same_size(
 def about(error: ToolkitError, key: FrameKey, path: Path) -> ToolkitError:
     """Return an error about a frame with the path of the file that causes it."""
     if error.path is None or error.path == str(key):
-        return ToolkitError(
-            error.problem, path=path, field=error.field, value=error.value, hint=error.hint
-        )
+        return error.revised(path=path)
     return error

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame
 from benchmark.data.loading import read_depth_map
 from benchmark.data.splits import FrameKey, saved_depth_path
-from benchmark.evaluation.config import plain_label
 from benchmark.evaluation.frames import error_line, restore_views
+from benchmark.evaluation.values import plain_label
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer, restorers

@@ -12,15 +12,14 @@ from typing import Any, Literal
 import pandas as pd
 
 from benchmark.evaluation.config import (
-    OBJECT,
     BopConfig,
     DepthConfig,
     FrameConfig,
     NetworkConfig,
     PoseConfig,
-    checked_label,
 )
 from benchmark.evaluation.engine import Campaign, Task, run_all
+from benchmark.evaluation.values import OBJECT, checked_label
 from benchmark.methods.registry import METHODS
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions

@@ -15,7 +15,7 @@ from benchmark.recipes.recipe_plan import Entry, Pack
 from benchmark.recipes.recipe_run import Trained, make_pack, scoring_devices, train
 from benchmark.training.options import BatchNormStatistics, MineOptions, TrainOptions
 from benchmark.training.run_files import BEST
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 
 PRESET = "compact"
 # Seeds of the scenes that are scored begin this far from those that are trained on.
@@ -89,13 +89,8 @@ def fine_tune(options: MineOptions) -> MineReport:
         ToolkitError: no shipped weights of the method, meshes or scenes that cannot be used, a
             simulator that cannot run, or a folder that belongs to other options.
     """
-    if options.method not in TUNINGS:
-        raise ToolkitError(
-            "no fine-tuning of this method",
-            field="--method",
-            value=options.method,
-            hint=f"choose one of {', '.join(TUNINGS)}",
-        )
+    problem, told = "no fine-tuning of this method", "choose one of"
+    check_known(options.method, TUNINGS, problem, field="--method", told=told)
     shipped = shipped_weights(options.method, PRESET)
     training, tests = plan_sets(options)
     problems: dict[str, str] = {}

@@ -204,13 +204,8 @@ def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
     except ToolkitError as error:
         if error.field not in PackSetup.__struct_fields__:
             raise
-        raise ToolkitError(
-            error.problem,
-            path=error.path,
-            field=error.field,
-            value=error.value,
-            hint="the frames are others than it was made of: choose another --out",
-        ) from error
+        hint = "the frames are others than it was made of: choose another --out"
+        raise error.revised(hint=hint) from error
     logger.info("pack %s: %d frames", pack.folder.name, packed.frames)
     return packed.failed
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.evaluation.depth_panels import restored_strip
-from benchmark.evaluation.engine import weights_digest
 from benchmark.evaluation.manifest import circumstances
+from benchmark.methods.registry import weights_digest
 from benchmark.restoring.options import DepthFormat, MethodChoice
 from benchmark.restoring.recordings import FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of

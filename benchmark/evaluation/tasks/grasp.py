@@ -10,9 +10,9 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
+from benchmark.evaluation.config import GraspConfig, options_by_method
 from benchmark.evaluation.depth_choice import DepthChoice, depth_choice
-from benchmark.evaluation.engine import Task, TaskRun, weights_digest
+from benchmark.evaluation.engine import Task, TaskRun
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks import grasp_results
@@ -20,14 +20,15 @@ from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_ta
 from benchmark.evaluation.tasks.grasp_inputs import FLAT_PATCHES, ORACLE, SUCTION, Methods
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
-from benchmark.methods.registry import MethodOptions, grasp_planners
+from benchmark.evaluation.values import checked_label, plain_label
+from benchmark.methods.registry import MethodOptions, grasp_planners, weights_digest
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
 from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop import depth_model, round, sense
 from benchmark.tabletop.arrange import arrange, round_seed
 from benchmark.tabletop.saved_views import named_view, save_view
 from benchmark.tabletop.scene_tables import open_scene_tables
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
@@ -269,13 +270,9 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
         )
     gripper = SuctionCup(radius=config.cup_radius or SuctionCup.radius) if suction else PANDA
     for name in planners:
-        if name != ORACLE and ":" not in name and name not in grasp_planners.names():
-            raise ToolkitError(
-                "no such planner",
-                field="--planner",
-                value=name,
-                hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
-            )
+        if ":" not in name:
+            known = [*grasp_planners.names(), ORACLE]
+            check_known(name, known, "no such planner", field="--planner", told="known:")
     depths = [depth_choice(text) for text in config.depths]
     names = [
         *(d.name for d in depths if d.is_restored),

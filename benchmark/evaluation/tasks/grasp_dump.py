@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 
 from benchmark.data.splits import FrameKey
-from benchmark.evaluation.config import checked_label
 from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.frames import error_line
 from benchmark.evaluation.manifest import DUMP_MANIFEST, DumpManifest, DumpSetup, circumstances
@@ -31,6 +30,7 @@ from benchmark.evaluation.results import (
     read_table,
     write_part,
 )
+from benchmark.evaluation.values import checked_label
 from benchmark.metrics.grasp.ap import (
     TOP,
     ContactKind,

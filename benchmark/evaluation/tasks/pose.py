@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame, resize_nearest
 from benchmark.data.splits import DepthSource
 from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
-from benchmark.evaluation.config import PoseConfig, checked_label, options_by_method
+from benchmark.evaluation.config import PoseConfig, options_by_method
 from benchmark.evaluation.depth_choice import RAW, DepthChoice, DepthProvider, depth_choice
-from benchmark.evaluation.engine import Task, weights_digest
+from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
     Base,
     FrameRun,
@@ -24,9 +24,10 @@ from benchmark.evaluation.frames import (
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup, circumstances
 from benchmark.evaluation.results import ERROR, INDEX
 from benchmark.evaluation.tasks import pose_results, pose_table
+from benchmark.evaluation.values import checked_label
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.protocol import Estimated, PoseAnswer, PoseEstimator, PoseView
-from benchmark.methods.registry import make_pose_method
+from benchmark.methods.registry import make_pose_method, weights_digest
 from benchmark.metrics.pose import PoseProtocol
 from std_toolkit.errors import ToolkitError
 

@@ -16,15 +16,12 @@ from benchmark.methods.network import (
     COMPACT_SIZE,
     NetworkRestorer,
     Prediction,
-    coarse_depth,
-    in_metres,
-    network_depth,
     network_of,
     padded_to,
     precisely,
-    relative_color,
 )
 from benchmark.methods.registry import MethodOptions
+from benchmark.methods.relative_depth import coarse_depth, in_metres, network_depth, relative_color
 from std_toolkit.errors import ToolkitError
 
 _LEVELS = 4
@@ -44,7 +41,7 @@ class DFNetConfig:
         outlier: what lies farther than so many standard deviations from the mean of the image's
             depths counts as not measured.
         relative: whether input and output depth are relative to what the sensor
-            measured (`benchmark.methods.network`). The published network works in metres.
+            measured (`benchmark.methods.relative_depth`). The published network works in metres.
         input_size: (width, height) of the images.
     """
 
