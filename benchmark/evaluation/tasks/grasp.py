@@ -41,6 +41,11 @@ GRASP_FOLDER, STRIPS = "grasp", "strips"
 
 _ROUNDS = 6
 
+_OF_CONFIG = (
+    "label", "seed", "out", "camera", "attempts", "move", "meshes", "meshes_unit", "scenes",
+    "devices", "save_views",
+)  # fmt: skip
+
 
 @dataclass(frozen=True, kw_only=True)
 class GraspRun(TaskRun[None, Methods]):
@@ -147,7 +152,8 @@ class GraspRun(TaskRun[None, Methods]):
             torch.set_num_threads(1)
 
     def manifest(self, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
-        planner, depth, folder = self.planner_options, self.depth.options, self.depth.folder
+        planner, depth = self.planner_options, self.depth.options
+        is_quick = self.camera == "quick"
         # Precision, compile and device are the same for both.
         network = depth if self.depth.is_restored else planner
         setup = GraspSetup(
@@ -155,19 +161,13 @@ class GraspRun(TaskRun[None, Methods]):
             seed=self.seed,
             attempts=self.attempts,
             camera=self.camera,
-            depth_model_sha256=digest_file(depth_model.MODEL_FILE)
-            if self.camera == "quick"
-            else "",
+            depth_model_sha256=digest_file(depth_model.MODEL_FILE) if is_quick else "",
             gripper=self.gripper.name,
             planner=self.planner,
             planner_preset=planner.preset,
             planner_settings=dict(planner.settings),
             planner_weights_sha256=weights_digest(self.planner, methods.planner, planner),
-            depth=self.depth.name,
-            depth_preset=depth.preset if self.depth.is_restored else "",
-            depth_settings=dict(depth.settings),
-            depth_weights_sha256=weights_digest(self.depth.name, methods.depths.restorer, depth),
-            depth_folder="" if folder is None else str(folder.resolve()),
+            **methods.depths.setup(),
             precision=network.precision,
             compile=network.compile,
             device=self.devices[0].partition(":")[0],
@@ -248,15 +248,7 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             or a label that cannot be the name of a folder.
     """
     if config.dump is not None:
-        return plan_dump(
-            dump=config.dump,
-            data=config.data,
-            split=config.graspnet_split,
-            camera=config.graspnet_camera,
-            contacts=config.contacts,
-            label=config.label,
-            out=config.out,
-        )
+        return plan_dump(config.dump, config)
     if config.data is not None:
         raise ToolkitError("belongs to --dump", field="--data", value=str(config.data))
     suction = config.gripper == SUCTION
@@ -285,23 +277,13 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
     depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
     return [
         GraspRun(
+            **{name: getattr(config, name) for name in _OF_CONFIG},
             depth=depth,
             planner=planner,
-            label=config.label,
             rounds=rounds,
-            seed=config.seed,
-            out=config.out,
             planner_options=options.get(planner, MethodOptions()),
-            camera=config.camera,
-            attempts=config.attempts,
-            move=config.move,
             gripper=gripper,
-            meshes=config.meshes,
-            meshes_unit=config.meshes_unit,
-            scenes=config.scenes,
-            devices=config.devices,
             strips=config.gallery,
-            save_views=config.save_views,
         )
         for planner, depth in product(planners, depths)
     ]

@@ -27,7 +27,7 @@ from benchmark.evaluation.tasks import pose_results, pose_table
 from benchmark.evaluation.values import checked_label
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.protocol import Estimated, PoseAnswer, PoseEstimator, PoseView
-from benchmark.methods.registry import make_pose_method, weights_digest
+from benchmark.methods.registry import make_pose_method
 from benchmark.metrics.pose import PoseProtocol
 from std_toolkit.errors import ToolkitError
 
@@ -154,14 +154,9 @@ class PoseRun(FrameRun[Methods]):
 
     def manifest(self, data: DepthSource, methods: Methods) -> PoseManifest:
         method, depths = methods
-        depth, folder = self.depth.options, self.depth.folder
         setup = PoseSetup(
             **self.setup(data, method) | {"settings": self.settings},
-            depth=self.depth.name,
-            depth_preset=depth.preset if self.depth.is_restored else "",
-            depth_settings=dict(depth.settings),
-            depth_weights_sha256=weights_digest(self.depth.name, depths.restorer, depth),
-            depth_folder="" if folder is None else str(folder.resolve()),
+            **depths.setup(),
             as_input=self.as_input,
             given_truth=bool(method.needs_truth),
         )
@@ -172,7 +167,7 @@ class PoseRun(FrameRun[Methods]):
             setup=setup,
             root=str(self.root),
             weights=str(self.options.weights or ""),
-            depth_weights=str(depth.weights or ""),
+            depth_weights=str(self.depth.options.weights or ""),
             **circumstances(),
         )
 
