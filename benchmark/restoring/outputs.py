@@ -120,6 +120,10 @@ class FrameRecord(Record, frozen=True, kw_only=True, forbid_unknown_fields=True)
     empty: float
 
 
+def _file(folder: str, suffix: str) -> property:
+    return property(lambda paths: paths.out / folder / f"{paths.name}{suffix}")
+
+
 @dataclass(frozen=True)
 class FramePaths:
     """Where the files of a frame go.
@@ -134,33 +138,16 @@ class FramePaths:
     name: str
     exr: bool
 
+    color = _file("color", ".png")
+    confidence = _file("confidence", ".png")
+    changed = _file("changed", ".png")
+    points = _file("points", ".ply")
+    picture = _file("pictures", ".jpg")
+    record = _file("frames", ".json")
+
     @property
     def depth(self) -> Path:
         return self.out / "depth" / f"{self.name}{'.exr' if self.exr else '.png'}"
-
-    @property
-    def color(self) -> Path:
-        return self.out / "color" / f"{self.name}.png"
-
-    @property
-    def confidence(self) -> Path:
-        return self.out / "confidence" / f"{self.name}.png"
-
-    @property
-    def changed(self) -> Path:
-        return self.out / "changed" / f"{self.name}.png"
-
-    @property
-    def points(self) -> Path:
-        return self.out / "points" / f"{self.name}.ply"
-
-    @property
-    def picture(self) -> Path:
-        return self.out / "pictures" / f"{self.name}.jpg"
-
-    @property
-    def record(self) -> Path:
-        return self.out / "frames" / f"{self.name}.json"
 
     def artefact(self, frame: FrameFiles) -> Artefact:
         """What the files of a frame are made of; `RestoreSetup` is the same for all frames."""

@@ -291,16 +291,14 @@ def load_imagenet(network: PriorNetwork, path: Path) -> None:
             path=path,
             hint="give --set form=normalised",
         )
-    wanted = {
-        key: tensor
-        for key, tensor in color.state_dict().items()
-        if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
-    }
-    state = {
-        key: tensor
-        for key, tensor in read_weights(path).items()
-        if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
-    }
+    wanted, state = (
+        {
+            key: tensor
+            for key, tensor in tensors.items()
+            if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
+        }
+        for tensors in (color.state_dict(), read_weights(path))
+    )
     check_keys(wanted, state, path)
     color.load_state_dict(state, strict=False)
 
