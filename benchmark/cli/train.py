@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def train(options: TrainCommand) -> None:
     """Train a network."""
     check_installed()
-    from benchmark.training.plan import run_training
+    from benchmark.training.ray_launch import run_training
 
     if (told := run_training(options)) is not None:
         print(told)

@@ -1,56 +1,18 @@
-"""Resolves the options of `std-train` to a training, and runs it."""
+"""Resolves the options of `std-train` to a training."""
 
-import logging
 from dataclasses import replace
 from typing import Any
 
 from benchmark.training import fit, frame_order, packed_frames
 from benchmark.training.catalogue import Trainable, get_trainable
 from benchmark.training.config import Optimization, TrainConfig
-from benchmark.training.export import bench_command
-from benchmark.training.options import TrainCommand, TrainOptions
+from benchmark.training.options import TrainOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import digest_file
-from std_toolkit.log import logger
 
 # Of a training of few steps, so that killing it never costs more than a part of it.
 _CHECKPOINTS = 20
 _LONGEST_INTERVAL = 500
-
-
-def run_training(options: TrainCommand) -> str | None:
-    """Train as planned, or go on.
-
-    Returns:
-        The best weights and the command that scores them; None in the processes beside the first.
-
-    Raises:
-        ToolkitError: as `plan_training`, or the training fails.
-    """
-    is_first = fit.process_rank() == 0
-    if not is_first:  # the first of several processes reports for all
-        logger.setLevel(logging.WARNING)
-    config, data, beginning = plan_training(options)
-    logger.info(
-        "%d frames to train on, %d to validate; %d steps of %d frames",
-        len(data.of_training),
-        len(data.of_validation),
-        config.steps,
-        config.optimization.batch_size,
-    )
-    machine = options.machine.shown()
-    if options.engine == "ray":
-        from benchmark.training.ray_launch import fit_on_ray
-
-        best = fit_on_ray(options.out, options, machine, options.ray_address)
-    else:
-        best = fit.fit(options.out, config, data, machine, beginning)
-    if not is_first:
-        return None
-    settings = " ".join(f"{name}={value}" for name, value in config.settings.items())
-    option = f" --set {settings}" if settings else ""
-    command = bench_command(options.method)
-    return f"{best}: {command} --preset {options.preset} --weights {best}{option}"
 
 
 def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Data, fit.Beginning]:
