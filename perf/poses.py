@@ -44,7 +44,7 @@ def make_scene(images: Path, K: np.ndarray, root: Path) -> Any:
 
 def processor_seconds() -> float:
     """Processor time of this process and its children, running ones with those they waited for."""
-    from std_toolkit.cli.guard import children_of
+    from std_toolkit.jobs.guard import children_of
 
     ended = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     ticks = 0

@@ -135,7 +135,7 @@ def recover_poses(command: PosesCommand) -> int:
     """Recover camera poses; 1 if a gate failed."""
     import pycolmap  # noqa: F401 - here, because it replaces the handlers of signals
 
-    from std_toolkit.cli.interrupt import keep_handlers
+    from std_toolkit.jobs.interrupt import keep_handlers
     from std_toolkit.poses.pose_step import estimate_poses
     from std_toolkit.scene.scene import Scene
 

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-from std_toolkit.cli import guard
+from std_toolkit.jobs import guard
 
 GRACE_S = 2.5
 """Seconds from a signal until the program is ended from outside the computation.
