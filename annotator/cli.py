@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from annotator.startup import quick_imports
 from std_toolkit.cli.command import Command, Program, print_json
-from std_toolkit.jobs.interrupt import whole_imports
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.interrupt import whole_imports
 
 if TYPE_CHECKING:
     from annotator.options import AnnotateOptions, CompareCommand, MergeCommand

@@ -150,6 +150,13 @@ def check_options(options: Any) -> None:
                     raise ToolkitError(f"must be {words} {bound}", field=name, value=value)
 
 
+class CheckedOptions:
+    """Base of dataclasses of options that are checked when they are made, by `check_options`."""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
 def _parts(hint: Any) -> Iterator[Any]:
     """A type, its type arguments, and their annotations."""
     yield hint

@@ -35,6 +35,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cameras", "html", "scene"),
         ("poses", "rendering"),
         ("importers",),
+        ("commands",),
         ("exporters", "labels"),
         ("scanning",),
         ("checks",),

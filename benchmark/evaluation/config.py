@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
-from std_toolkit.jobs.options import JobOptions
+from std_toolkit.options import JobOptions
 from std_toolkit.plugins import setting_of
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from sensors.specs import SensorSpec
 from sensors.stereo import disparity_to_depth, make_matcher
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.jobs.options import usable_cores
+from std_toolkit.options import usable_cores
 
 Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 

@@ -93,7 +93,7 @@ def _record(options: RecordCommand, scene: Path) -> None:
 
 
 def _is_ros(file: str) -> bool:
-    from std_toolkit.importers.ros_importer import is_ros_recording
+    from std_toolkit.importers.foreign_files import is_ros_recording
 
     return is_ros_recording(Path(file))
 
@@ -105,7 +105,7 @@ def _import_ros(options: RecordCommand, file: str, scene: Path) -> None:
         ToolkitError: an option that only a camera or a file of librealsense has.
     """
     from std_toolkit.importers.import_step import import_recording
-    from std_toolkit.options import ImportRequest
+    from std_toolkit.importers.options import ImportRequest
     from std_toolkit.scene.document import check_name
 
     name = check_name(options.session.name or scene.absolute().name, field="--name")

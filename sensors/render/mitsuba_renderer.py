@@ -13,9 +13,9 @@ from sensors.render.color_image import Denoiser, denoiser
 from sensors.render.sim_renderer import DRAFT_COLOR, DRAFT_INFRARED, ColorLight, RenderOptions
 from sensors.render.sim_scene import Projector, SimScene
 from sensors.render.variant import choose_variant
-from std_toolkit.jobs.interrupt import whole_imports
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import z_to_distance
+from std_toolkit.geometry.depth_maps import z_to_distance
+from std_toolkit.jobs.interrupt import whole_imports
 from std_toolkit.rendering.renderer import check_no_distortion
 
 if TYPE_CHECKING:

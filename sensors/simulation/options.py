@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError, check_options
-from std_toolkit.jobs.options import JobOptions
+from std_toolkit.errors import CheckedOptions, ToolkitError, check_options
+from std_toolkit.options import JobOptions
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
 
@@ -217,7 +217,7 @@ class AssetsCommand:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TurntableOptions:
+class TurntableOptions(CheckedOptions):
     """Photograph a mesh that stands on the printed board, path traced.
 
     Writes photos/, board.json and truth/ (cameras.json, mesh.ply, masks/) in the form that
@@ -263,6 +263,3 @@ class TurntableOptions:
     """noise of the camera, 1 as in good light"""
     seed: int = 0
     """of light, hand and noise"""
-
-    def __post_init__(self) -> None:
-        check_options(self)

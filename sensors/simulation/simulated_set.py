@@ -22,8 +22,8 @@ from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.jobs.artefact import begin
-from std_toolkit.jobs.options import usable_cores
 from std_toolkit.log import logger
+from std_toolkit.options import usable_cores
 from std_toolkit.scene.document import Document
 
 LAYOUTS: tuple[Layout, ...] = ("dreds", "novel", "scene")

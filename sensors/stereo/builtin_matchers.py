@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sensors.stereo.local_options import Backend, LocalMatcherOptions
 from sensors.stereo.stereo_matcher import Disparity, Image, check_pair
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.options import usable_cores
+from std_toolkit.options import usable_cores
 
 NONE = np.float32(-1)
 

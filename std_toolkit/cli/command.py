@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
-from std_toolkit.jobs.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
+from std_toolkit.jobs.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.undistortion import undistort_image
+from std_toolkit.geometry.camera import Camera, undistort_image
 from std_toolkit.rendering import choose, ground_truth, maps, placements
 from std_toolkit.rendering.renderer import image_window
 from std_toolkit.scene import Frame, Scene

@@ -9,8 +9,8 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.importers import bop_objects
 from std_toolkit.importers.bop_documents import BopScene, CameraRow, count_rough, read_bop_scene
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.model import CameraPoses, FramePose, Material
 from std_toolkit.scene.sidecar import ExportedFrame, Sidecar, find_sidecar
 

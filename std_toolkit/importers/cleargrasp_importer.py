@@ -11,8 +11,8 @@ from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers import foreign_files, importer, intrinsics
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 
 _COLOR = "-transparent-rgb-img"

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.undistortion import Undistortion
+from std_toolkit.geometry.camera import Camera, Undistortion
 from std_toolkit.importers import foreign_files, importer
 from std_toolkit.io import exr, images
 from std_toolkit.options import LinkMode

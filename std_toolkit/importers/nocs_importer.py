@@ -7,8 +7,8 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers import foreign_files, importer, intrinsics, sidecar_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.sidecar import SIDECAR_NAME, find_sidecar
 

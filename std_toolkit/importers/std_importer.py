@@ -21,8 +21,8 @@ from std_toolkit.importers import (
     sidecar_recording,
     std_objects,
 )
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.sidecar import find_sidecar
 

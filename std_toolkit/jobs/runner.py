@@ -26,17 +26,9 @@ from multiprocessing import connection
 from typing import Any, Generic, Protocol
 
 from std_toolkit.errors import ToolkitError, is_interrupt
-from std_toolkit.jobs.options import (
-    ATTEMPTS,
-    Item,
-    JobOptions,
-    Outcome,
-    Result,
-    error_of,
-    usable_cores,
-    worker_died,
-)
+from std_toolkit.jobs.outcome import ATTEMPTS, Item, Outcome, Result, error_of, worker_died
 from std_toolkit.log import logger
+from std_toolkit.options import JobOptions, usable_cores
 from std_toolkit.settings import in_force, use_only
 
 Call = Callable[[Any], Outcome[Any]]

@@ -13,7 +13,7 @@ import numpy as np
 import pycolmap
 
 from std_toolkit import errors, log
-from std_toolkit.geometry import SE3, Camera, camera, rotation_angle
+from std_toolkit.geometry import SE3, Camera, depth_maps, rotation_angle
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
 from std_toolkit.poses import features, mapping, reconstruct, register
@@ -272,7 +272,7 @@ def _check_distance(model: Any, known: KnownPoses) -> None:
     if len(every) == 0:
         return
     median = float(np.median(every))
-    if not camera.SMALLEST_MEDIAN_DEPTH_M <= median <= camera.LARGEST_MEDIAN_DEPTH_M:
+    if not depth_maps.SMALLEST_MEDIAN_DEPTH_M <= median <= depth_maps.LARGEST_MEDIAN_DEPTH_M:
         raise errors.ToolkitError(
             f"by these poses the objects are {median:.4g} m from the camera",
             path=known.filed.path,

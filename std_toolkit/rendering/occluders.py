@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from std_toolkit.geometry.camera import on_depth_step
+from std_toolkit.geometry.camera import undistort_image
+from std_toolkit.geometry.depth_maps import on_depth_step
 from std_toolkit.geometry.ray_caster import RayCaster, import_open3d
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.geometry.undistortion import undistort_image
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.jobs.artefact import Artefact

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, on_depth_step
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.depth_maps import on_depth_step
 from std_toolkit.geometry.ray_caster import import_open3d
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering.renderer import image_window, normalised_rays

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.camera import on_depth_step
+from std_toolkit.geometry.depth_maps import on_depth_step
 from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
 from std_toolkit.scanning.surface.depth_maps import DepthMap, object_window
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
