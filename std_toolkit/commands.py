@@ -3,8 +3,6 @@
 The command lines are generated from these dataclasses (see `std_toolkit.cli.command_options`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal

@@ -5,8 +5,6 @@ module imports no heavy library. Lengths are in metres and angles in radians unl
 unit.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 import os

@@ -6,8 +6,6 @@ from the axis: 73 % of the central density at 27 degrees, 59 % at 35. An image o
 showed 70 % and 59 %.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Objects dropped at random until they come to rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Calibration read from the camera, as OpenCV models, compared with its specification."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -6,8 +6,6 @@ that are still tracked. When it falls below a limit, the current image counts as
 are not compared with all earlier ones: a camera that returns to a place counts again.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Options of `std-record`; they import nothing heavy."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 from math import isfinite

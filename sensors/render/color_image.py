@@ -5,8 +5,6 @@ threads to the first ones, which several workers on one machine would then share
 depend on the number of threads.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Options of a simulated set and the named presets; they import nothing heavy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal

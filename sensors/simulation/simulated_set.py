@@ -1,7 +1,5 @@
 """A simulated data set on disk: many scenes, made in parallel, each complete or absent."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """From a scene's seed to its frames: light, exposure, the sensor's depth, exact maps."""
 
-from __future__ import annotations
-
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence

@@ -6,8 +6,6 @@
   equally likely, as on glass, the result is between them and on neither surface.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Options of the local stereo matcher, and the window sums that both backends use."""
 
-from __future__ import annotations
-
 import enum
 from dataclasses import dataclass
 

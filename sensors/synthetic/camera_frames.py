@@ -3,8 +3,6 @@
 The depth has noise, bias, holes, and failures on glass and metal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Smooth paths of a hand-held camera around a table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -7,8 +7,6 @@ Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 
 (SIGINT), 143 terminated (SIGTERM).
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import logging

@@ -1,7 +1,5 @@
 """Commands of `std-curate` from labelling on: label, propagate, render, check, export, run."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Entry point of `std-curate`: the table of its commands."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ with pixel centres at integers, consistent with K and the back-projection of dep
 bop_toolkit puts pixel centres at +0.5 with the same K.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -7,8 +7,6 @@ is rendered again: resampling the maps would shift depth and NOCS by up to half 
 "fused") is then copied from the ground truth, to its pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

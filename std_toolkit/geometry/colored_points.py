@@ -1,7 +1,5 @@
 """Colours on a surface: the part of its symmetries that they keep."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Maps of z-depth, metres, 0 = no measurement: points, distances, steps, and their unit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

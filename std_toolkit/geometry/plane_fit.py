@@ -3,8 +3,6 @@
 The module works on arrays; `plane.py` interprets the planes of a scene.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

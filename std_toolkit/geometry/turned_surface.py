@@ -1,7 +1,5 @@
 """A surface after a turn compared with itself: points, axes to try, alignment, distances."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeAlias
 

@@ -1,7 +1,5 @@
 """The JSON documents of a BOP scene, checked."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

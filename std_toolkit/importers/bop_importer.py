@@ -1,7 +1,5 @@
 """Scenes of BOP data sets: images, poses in millimetres, models."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError

@@ -7,8 +7,6 @@ the k-th entries of a model are one object.
 The models are PLY in millimetres, with symmetries from models_info.json.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

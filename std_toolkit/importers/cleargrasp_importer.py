@@ -5,8 +5,6 @@ The transparent capture becomes the scene's colour and sensor depth. Colour and 
 replicas, the mask and the normals are kept in `reference/`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError

@@ -1,7 +1,5 @@
 """A folder of colour images, and one of aligned depth images, paired by name."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of one imported frame: checked, converted where needed, else copied or linked."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

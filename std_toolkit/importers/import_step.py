@@ -1,7 +1,5 @@
 """The import step: selects the importer, reads, writes the scene completely or not at all."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial

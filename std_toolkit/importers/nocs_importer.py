@@ -1,7 +1,5 @@
 """The layout of the NOCS data sets (CAMERA and Real275) and of NOCS exports of the toolkit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError

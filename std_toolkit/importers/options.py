@@ -1,7 +1,5 @@
 """Options of an import: which images to read and how, and the request that an importer gets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated

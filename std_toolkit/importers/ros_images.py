@@ -1,7 +1,5 @@
 """Image messages of ROS: raw, compressed, and compressed depth; pairs of the same time."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from itertools import pairwise

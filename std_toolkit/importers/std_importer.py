@@ -7,8 +7,6 @@ advise. Camera poses are recovered by `std-curate poses`. STD exports of the too
 this in a sidecar.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Objects of an STD or DREDS download: meta lines, CAD models, poses from NOCS and depth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ the signal, also while it starts (imports) or leaves (waits for threads). Every 
 atomically, so that this loses only the item in work.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import signal

@@ -1,7 +1,5 @@
 """Outcomes of items and their errors, shared by all job engines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 

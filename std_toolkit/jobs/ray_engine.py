@@ -1,7 +1,5 @@
 """Items over a Ray cluster (extra `[cluster]`)."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -9,8 +9,6 @@ workers, hangs on an item that ends its process with status 0, and on all items 
 killed while it sent its result.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

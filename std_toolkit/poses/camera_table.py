@@ -8,8 +8,6 @@ rotation      `qw qx qy qz`, or the rotation vector `rx ry rz` in radians
 or a matrix   `m00` to `m33` (or to `m23`), row-major
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ COLMAP's `cam_from_world` is the toolkit's `T_cam_world`.
 The operations add frames, set scale and world frame, and compute the quality of each frame.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Reconstruction at known camera poses: check, triangulation, refinement with fixed scale."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

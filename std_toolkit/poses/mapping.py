@@ -1,7 +1,5 @@
 """Mapping of the keyframes with COLMAP: verified matching, mapping, bundle adjustment."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Quality gates of the camera poses, and the summary of poses in lines."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

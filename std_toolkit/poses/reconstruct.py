@@ -1,7 +1,5 @@
 """Reconstruction of all frames in an unknown unit. The result is cached."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ tags. The steepest place across a straight edge is not moved by a blur, and a wh
 fits one line.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -5,8 +5,6 @@ leaves out depth at discontinuities, where points lie between two surfaces. It a
 of many frames in the cells of a voxel grid, in bounded memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

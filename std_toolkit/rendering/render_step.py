@@ -1,7 +1,5 @@
 """`std-curate render`: ground truth for every labelled frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Literal

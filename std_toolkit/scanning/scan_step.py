@@ -1,7 +1,5 @@
 """The scan: photos to poses, masks, depth maps, a closed surface, texture, files and report."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Strict documents of a scene, and names that are safe in file paths."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What photos on the board tell of the object early: whether it moved, and whether it is clear."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

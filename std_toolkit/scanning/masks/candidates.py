@@ -1,7 +1,5 @@
 """What stands on the table: parts of a coarse hull, or clusters of triangulated features."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Visual hull of the masks as a signed distance on a grid of voxels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

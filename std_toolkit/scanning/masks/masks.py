@@ -1,7 +1,5 @@
 """Masks of the object without a network: GrabCut per photo, made consistent by the visual hull."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

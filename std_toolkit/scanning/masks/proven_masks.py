@@ -6,8 +6,6 @@ shows the object. Only what is left is decided by colour: where no table is know
 as at the feet of the object, and before a wall.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

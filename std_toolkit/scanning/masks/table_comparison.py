@@ -1,7 +1,5 @@
 """A photo against the table on which all photos agree: bare table, or something before it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A point of the table is seen by some photos and hidden by the object in others. 
 agree closely, shadows that rest on it included, and those that see the object do not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

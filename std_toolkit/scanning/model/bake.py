@@ -1,7 +1,5 @@
 """Texture of a mesh from the photos: atlas, exposure compensation, blending."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

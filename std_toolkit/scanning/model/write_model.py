@@ -1,7 +1,5 @@
 """A scanned model, and its files: OBJ with MTL and PNG, GLB, PLY, all in metres."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Photos of a scan with camera poses, as its stages pass them on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a photo shows of a surface: depth, normals, and the colours of places on it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

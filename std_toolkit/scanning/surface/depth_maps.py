@@ -1,7 +1,5 @@
 """Depth maps of the photos of a scan: neighbouring photos, the hull as a start, two resolutions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

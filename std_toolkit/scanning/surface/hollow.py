@@ -4,8 +4,6 @@ Outlines fill a vessel up to its rim and leave a flat cone above it, for rays ov
 steeper than the photos look. With the thickness of the wall, the inside follows from the outside.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ motion is right: with a wrong one, each hull carves what the other needs. This n
 no depth (silhouette coherence: Hernández, Schmitt and Cipolla, TPAMI 29, 2007).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage

@@ -4,8 +4,6 @@ One or two sides: the object as it stood first, and turned over. Each side has d
 own photos. The surface is fused from both in the world of the first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

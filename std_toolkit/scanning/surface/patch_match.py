@@ -5,8 +5,6 @@ Windows", BMVC 2011; several views as in Galliani, Lasinger and Schindler, "Mass
 Multiview Stereopsis by Surface Normal Diffusion", ICCV 2015.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

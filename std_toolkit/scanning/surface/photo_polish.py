@@ -5,8 +5,6 @@ from the front. Its place is where the patches correlate best (normalised cross-
 Furukawa and Ponce, PAMI 2010), if this place is distinct.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ Depth maps cut it, but not where the top is too plain to be matched. There the s
 between the parts around it that are measured, unless an outline shows that the top is higher.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

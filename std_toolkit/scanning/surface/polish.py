@@ -1,7 +1,5 @@
 """Polish of a mesh: vertices on the rim of a photo move along their normals to its outline."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ diffuse objects only: what it reports through glass lies outside the visual hull
 is left out, as is what other photos contradict (`std_toolkit.scanning.surface.surface`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Where no depth map supports the surface, it is that of the visual hull.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ motion by RANSAC, which the measured surfaces refine. Where too few agree, the h
 positions tell which of many turns is right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

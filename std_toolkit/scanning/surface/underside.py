@@ -4,8 +4,6 @@ Below the lowest photos, the visual hull goes on as a cone. Where the rim of an 
 plane, the part is a face of the object that nobody saw, and is closed by that plane.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

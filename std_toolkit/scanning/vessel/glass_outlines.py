@@ -5,8 +5,6 @@ from the bare table ends. These points are fitted by a surface of revolution, wh
 profile. What points into the vessel, such as its inner wall, has differences outside of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

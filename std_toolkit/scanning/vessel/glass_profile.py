@@ -8,8 +8,6 @@ and one on the right in each photo. The evidence of all photos together is enoug
 photo is not: the profile with most of it is found by dynamic programming.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ comes from the inner edge of the rim where photos show it. Handles and spouts ar
 their outline is left out and its share reported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """A photo with an outline, and a solid of revolution as an axis and a profile with its mesh."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
