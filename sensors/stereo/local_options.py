@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 
 # A pixel's winner is stored as cost * DISPARITIES + disparity in 32 bits; see `winners`.
@@ -163,9 +164,7 @@ class LocalMatcherOptions:
             )
 
 
-def window_sums(
-    padded: NDArray[np.uint8], size: int
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def window_sums(padded: NDArray[np.uint8], size: int) -> tuple[NDArray[np.int32], Array]:
     """Sum of every window of size x size, and 1 / (pixels times standard deviation).
 
     Args:

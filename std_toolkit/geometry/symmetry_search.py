@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry.colored_points import FOLDS, GENERIC, ColoredPoints
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3, rotation_angle, so3_exp, so3_log
@@ -32,7 +32,6 @@ from std_toolkit.geometry.turned_surface import (
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 
 # Points whose colours are compared; every third of them is compared by distance, and every
 # fifteenth in a first look.

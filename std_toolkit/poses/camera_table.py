@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics
@@ -48,7 +48,7 @@ class FiledCameras:
 
     path: Path
     kind: str
-    matrices: NDArray[np.float64]
+    matrices: Array
     keys: list[str] | None = None
     lenses: Sequence[Intrinsics | None] = ()
     convention: str | None = None
@@ -77,7 +77,7 @@ class FiledCameras:
         return lenses[0]
 
 
-def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
+def as_matrix(value: Any, path: Path, at: str) -> Array:
     """Return a (4, 4) rigid transform from 16 or 12 numbers in any nesting.
 
     Raises:
@@ -223,7 +223,7 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
 
 def _csv_matrix(
     values: list[float], rotation: tuple[str, ...] | None, path: Path, at: str
-) -> NDArray[np.float64]:
+) -> Array:
     if rotation is None:
         return as_matrix(values, path, at)
     if rotation == _QUATERNION:
@@ -233,13 +233,11 @@ def _csv_matrix(
     return SE3(so3_exp(values[3:]), np.array(values[:3])).matrix()
 
 
-def _from_quat(
-    wxyz: Sequence[float], t: Sequence[float], path: Path, at: str
-) -> NDArray[np.float64]:
+def _from_quat(wxyz: Sequence[float], t: Sequence[float], path: Path, at: str) -> Array:
     return _placed(lambda: SE3.from_quat(wxyz, t).matrix(), path, at)
 
 
-def _placed(make: Callable[[], NDArray[np.float64]], path: Path, at: str) -> NDArray[np.float64]:
+def _placed(make: Callable[[], Array], path: Path, at: str) -> Array:
     """Add the place in the file to an error."""
     try:
         return make()

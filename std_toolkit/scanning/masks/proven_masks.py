@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from std_toolkit.arrays import Mask
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.candidates import Candidate
 from std_toolkit.scanning.masks.masks import (
@@ -25,7 +26,7 @@ from std_toolkit.scanning.masks.masks import (
     with_hidden,
 )
 from std_toolkit.scanning.masks.table_comparison import Comparison
-from std_toolkit.scanning.photos.views import Mask, View, in_threads
+from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 

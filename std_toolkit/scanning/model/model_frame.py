@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.io.documents import write_document
-from std_toolkit.scanning.photos.views import Array
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:

@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from std_toolkit.arrays import Array
 from std_toolkit.scanning.photos.photos import Photos
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

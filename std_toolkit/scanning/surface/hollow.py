@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from std_toolkit.arrays import Mask
 from std_toolkit.scanning.masks.hull import column_tops
-from std_toolkit.scanning.photos.views import Grid, Mask, View
+from std_toolkit.scanning.photos.views import Grid, View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Slope of a surface that may be the cone above the rim, beyond that of the flattest look.

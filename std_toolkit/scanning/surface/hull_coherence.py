@@ -11,8 +11,8 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3
-from std_toolkit.scanning.photos.views import Array
 from std_toolkit.scanning.surface.measured_surface import Side
 
 # Photos of each position, rays in each, and places along a ray.

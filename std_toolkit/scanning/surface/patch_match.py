@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.compiled import compiled
-from std_toolkit.scanning.photos.views import Array
 
 Map = NDArray[np.float32]
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Mask
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scanning.vessel.outline_rays import (
     OutlineRays,
@@ -27,8 +27,6 @@ from std_toolkit.scanning.vessel.outline_rays import (
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scanning.vessel.rim_wall import wall_at_rim
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
-
-Array = NDArray[np.float64]
 
 # Steps between the heights of the profile, and their number.
 _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS = 0.001, 40, 260
@@ -358,9 +356,7 @@ def _settled(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Tur
     return state, sigma
 
 
-def _deviation(
-    rays: OutlineRays, state: TurnedProfile, sigma: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _deviation(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Array, Mask]:
     """Standard deviation of the radii, and where outlines touch the surface."""
     A, _, weight = _system(rays, state, sigma)
     count = len(state.radii)
