@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.lighting.environment import EnvironmentMap
 from sensors.render import mitsuba_scene
 from sensors.render.color_image import Denoiser, denoiser
 from sensors.render.sim_renderer import DRAFT_COLOR, DRAFT_INFRARED, ColorLight, RenderOptions
-from sensors.render.sim_scene import Projector, SimScene
+from sensors.render.sim_scene import Projector, SceneObject, SimScene
 from sensors.render.variant import choose_variant
 from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.depth_maps import z_to_distance
 from std_toolkit.jobs.interrupt import whole_imports
 from std_toolkit.rendering.renderer import check_no_distortion
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sensors.lighting.environment import EnvironmentMap
-    from sensors.render.sim_scene import SceneObject
-    from std_toolkit.geometry import SE3, Camera
 
 _FEATURE_SAMPLES, _FAST_FEATURE_SAMPLES = 4, 2
 # Paths of time of flight, beside those of light that is directly in view.

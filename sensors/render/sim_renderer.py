@@ -4,20 +4,16 @@
 renders the exact maps. Neither depends on which renderer is used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
+from sensors.lighting.environment import EnvironmentMap
+from sensors.render.sim_scene import Projector, SceneObject, SimScene
 from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.plugins import Registry
-
-if TYPE_CHECKING:
-    from sensors.lighting.environment import EnvironmentMap
-    from sensors.render.sim_scene import Projector, SceneObject, SimScene
-    from std_toolkit.geometry import SE3, Camera
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,21 +4,21 @@ The recording contains colour, depth aligned to colour, and the camera's `camera
 written to files, JPEG and PNG as recorded; colour and depth are paired by their time stamps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError, missing_extra
+from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.intrinsics import Intrinsics, listed_coefficients, model_of_file
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.ros_images import (
     COLOR_ENCODINGS,
     DEPTH_ENCODINGS,
@@ -28,10 +28,6 @@ from std_toolkit.importers.ros_images import (
     write_image,
 )
 from std_toolkit.log import logger
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.importers.options import ImportRequest
 
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

@@ -1,9 +1,7 @@
 """The camera-pose step: reconstruction, metric scale, quality gates, publication."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,12 +13,10 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions, Refinement
+from std_toolkit.poses.known_cameras import KnownPoses
 from std_toolkit.poses.pose_gates import matches_gate, pose_gates
 from std_toolkit.scene import CameraPoses, Frame, FramePose, Labels, Scene
 from std_toolkit.scene.model import ScaleReport, without_derived
-
-if TYPE_CHECKING:
-    from std_toolkit.poses.known_cameras import KnownPoses
 
 STEP = "poses"
 

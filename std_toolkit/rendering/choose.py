@@ -5,21 +5,16 @@ a child process. The result is kept for this process and, in an environment vari
 worker processes that it starts.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
 from std_toolkit.log import logger
 from std_toolkit.rendering.renderer import RENDERERS, Renderer
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
 
 DEFAULT_RENDERER = "pyrender"
 

@@ -14,17 +14,16 @@ other:
 A hidden pixel is background in every map.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from msgspec.structs import asdict
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.documents import digest_file, digest_of, write_document
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.rendering import choose, ground_truth, maps, mesh, occluders, raycast
@@ -38,9 +37,6 @@ from std_toolkit.rendering.ground_truth import (
 from std_toolkit.rendering.placements import frame_inputs, frame_placements, place_meshes
 from std_toolkit.rendering.renderer import PlacedMesh, Window, image_window, normalised_rays
 from std_toolkit.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry import SE3, Camera
 
 
 @dataclass(frozen=True)

@@ -21,17 +21,15 @@ from __future__ import annotations
 import ctypes
 import os
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.choose import find_gl, loaded_platform
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.renderer import NEAR_M, Raster, Window, check_no_distortion, depth_range
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry import SE3, Camera
 
 _KEPT_MESHES = 64
 _LARGEST_TILE = 2048
