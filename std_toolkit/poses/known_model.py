@@ -16,8 +16,11 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
 from std_toolkit.poses import features, mapping, reconstruct, register
 from std_toolkit.poses.colmap import (
+    Reconstructed,
+    Reconstruction,
     add_image,
     from_rigid3d,
+    image_id_of,
     observations,
     quiet_colmap,
     to_colmap_camera,
@@ -59,7 +62,7 @@ def reconstruct_known(
     *,
     options: PoseOptions,
     jobs: JobOptions,
-) -> tuple[reconstruct.Reconstructed, list[str]]:
+) -> tuple[Reconstructed, list[str]]:
     """Check the known poses against the images and triangulate the points that they explain.
 
     Args:
@@ -98,7 +101,7 @@ def reconstruct_known(
     log.logger.info("known camera poses: checking %d, %d image pairs", len(keyframes), len(pairs))
     images = [
         mapping.MappingImage(
-            image_id=reconstruct.image_id_of(f), name=f.color, camera=f.camera,
+            image_id=image_id_of(f), name=f.color, camera=f.camera,
             features=loaded[f.id],
         )
         for f in keyframes
@@ -113,7 +116,7 @@ def reconstruct_known(
     poses = {f: T for f, T in known.poses().items() if f not in verdict.bad}
     model = _triangulate(database, work, keyframes, poses, cameras, camera_ids, options)
     _check_distance(model, known)
-    number = reconstruct.image_id_of
+    number = image_id_of
     index = register.build_index(
         model,
         [(number(f), names[f.id], i) for i, f in zip(chosen, keyframes, strict=True)],
@@ -130,8 +133,8 @@ def reconstruct_known(
     if known.options.cameras_use == "refine":
         kept = {f: T for f, T in poses.items() if f not in bad}
         notes.append(_refine(model, kept, verdict.median_px or 0.0, options))
-    about = reconstruct.Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
-    return reconstruct.Reconstructed(model, about), notes
+    about = Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
+    return Reconstructed(model, about), notes
 
 
 def known_scale(
@@ -246,7 +249,7 @@ def _triangulate(
         image = pycolmap.Image(
             name=frame.color,
             camera_id=camera_ids[frame.camera],
-            image_id=reconstruct.image_id_of(frame),
+            image_id=image_id_of(frame),
         )
         model.add_image_with_trivial_frame(image, to_rigid3d(poses[frame.id].inverse()))
     pipeline = pycolmap.IncrementalPipelineOptions()
@@ -327,7 +330,7 @@ def _add_rest(
                 continue
         add_image(
             model,
-            image_id=reconstruct.image_id_of(frame),
+            image_id=image_id_of(frame),
             name=frame.color,
             camera_id=camera_ids[frame.camera],
             T_cam_world=poses[frame.id].inverse(),

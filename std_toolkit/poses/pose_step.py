@@ -77,10 +77,10 @@ def _run(
     known: KnownPoses | None,
     work: Path,
 ) -> tuple[CameraPoses, list[Path]]:
-    from std_toolkit.poses.colmap import place_in_world, quiet_colmap, scale_world
+    from std_toolkit.poses.colmap import adjusted_cameras, place_in_world, quiet_colmap, scale_world
     from std_toolkit.poses.known_model import known_gates, known_scale, reconstruct_known
     from std_toolkit.poses.publish import publish_model
-    from std_toolkit.poses.reconstruct import adjusted_cameras, reconstruct
+    from std_toolkit.poses.reconstruct import reconstruct
     from std_toolkit.poses.scale_sources import ScaleContext, resolve_scale
 
     cache = scene.root / ".std" / "poses"
