@@ -1,4 +1,4 @@
-"""Meshes in metres: loading, unit checks, extents."""
+"""Meshes in metres: loading, unit checks, extents, error."""
 
 from __future__ import annotations
 
@@ -35,6 +35,9 @@ _ROUNDS = 8
 
 # Pairs of points whose distances are computed at once, 256 KiB.
 _PAIRS = 1 << 15
+
+# Edges that are bent by more than this are part of the shape and not of its error.
+_CREASE = np.deg2rad(40)
 
 
 def load_mesh(
@@ -306,3 +309,29 @@ def nocs_frame(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], float]:
     """Centre (3,) and diagonal of the bounding box, metres: NOCS = (p - centre)/diagonal + 0.5."""
     low, high = mesh_bounds(mesh)
     return (low + high) / 2, float(np.linalg.norm(high - low))
+
+
+def surface_error(mesh: trimesh.Trimesh) -> float:
+    """Error of a mesh that shows in itself: facets on curved parts and roughness, metres.
+
+    The height of an arc over a facet whose neighbours are bent by an angle; the 95th percentile
+    over the surface. A slow warp does not show.
+    """
+    import trimesh
+
+    # Vertices at one place, at seams of a texture, are one.
+    places, welded = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    mesh = trimesh.Trimesh(places, welded.reshape(-1)[mesh.faces], process=False)
+    angle, pairs = mesh.face_adjacency_angles, mesh.face_adjacency
+    if not len(pairs):
+        return 0.0
+    ends = mesh.vertices[mesh.face_adjacency_edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    area = mesh.area_faces[pairs].sum(axis=1)
+    smooth = (angle < _CREASE) & (length > 0) & (area > 0)
+    if not smooth.any():
+        return 0.0
+    arc = area[smooth] / length[smooth] / 2 * np.tan(angle[smooth] / 4)
+    order = np.argsort(arc)
+    share = np.cumsum(area[smooth][order])
+    return float(arc[order][np.searchsorted(share, 0.95 * share[-1])])

@@ -213,13 +213,9 @@ def _object_truth(
     )
 
 
+@lru_cache(maxsize=4)
 def ray_lengths(camera: Camera) -> np.ndarray:
     """Return (H,W) float32 distance from the camera per metre of z, for every pixel."""
-    return _ray_lengths(camera)
-
-
-@lru_cache(maxsize=4)
-def _ray_lengths(camera: Camera) -> np.ndarray:
     x, y = normalised_rays(camera, image_window(camera))
     lengths = np.sqrt(x * x + y * y + 1).astype(np.float32)
     lengths.setflags(write=False)

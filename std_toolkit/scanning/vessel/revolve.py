@@ -167,26 +167,7 @@ def _fitted(
         shown = wall_at_rim(views, found)
         if shown is not None:
             found = replace(found, wall_m=shown, wall_seen=True)
-    return replace(found, warnings=tuple(_warnings(found, known_wall=wall_m is not None)))
-
-
-def _warnings(found: RevolvedSurface, *, known_wall: bool) -> list[str]:
-    sentences = []
-    if found.outside > 0.02:
-        sentences.append(
-            f"{100 * found.outside:.0f} % of the outline is not of the surface of revolution: "
-            "handles and spouts are not modelled"
-        )
-    if not (found.wall_seen or known_wall):
-        sentences.append(
-            f"no photo shows the inner edge of the rim: a wall of {1000 * found.wall_m:.1f} mm is "
-            "a guess; photograph the rim from above, or measure the wall"
-        )
-    sentences.append("the thickness of the base is a guess")
-    if not found.seen.all():
-        hidden = 1000 * float((~found.seen).mean() * found.heights[-1])
-        sentences.append(f"no outline touches {hidden:.0f} mm of the profile: interpolated")
-    return sentences
+    return replace(found, warnings=found.doubts(known_wall=wall_m is not None))
 
 
 def _start(views: Sequence[OutlineView], rays: OutlineRays) -> tuple[Array, float]:
