@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -96,6 +97,21 @@ EXTRAS: dict[str, str] = {
     "trame": "web",
     "vtk": "gui",
 }
+
+
+@contextmanager
+def located(path: Path | str | None, field: str | None = None) -> Iterator[None]:
+    """Context manager that adds the file, and the field if given, to errors of its block."""
+    try:
+        yield
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem,
+            path=path,
+            field=field or error.field,
+            value=error.value,
+            hint=error.hint,
+        ) from error
 
 
 def is_interrupt(error: BaseException) -> bool:

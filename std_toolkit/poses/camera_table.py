@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from std_toolkit.arrays import Array
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.geometry.se3 import so3_exp
@@ -92,7 +92,8 @@ def as_matrix(value: Any, path: Path, at: str) -> Array:
             "a camera pose needs 4x4 (or 3x4) numbers", path=path, field=at,
             value=f"{M.size} numbers",
         )  # fmt: skip
-    return _placed(lambda: SE3.from_matrix(M).matrix(), path, at)
+    with located(path, at):
+        return SE3.from_matrix(M).matrix()
 
 
 def read_table(path: Path) -> FiledCameras:
@@ -234,17 +235,8 @@ def _csv_matrix(
 
 
 def _from_quat(wxyz: Sequence[float], t: Sequence[float], path: Path, at: str) -> Array:
-    return _placed(lambda: SE3.from_quat(wxyz, t).matrix(), path, at)
-
-
-def _placed(make: Callable[[], Array], path: Path, at: str) -> Array:
-    """Add the place in the file to an error."""
-    try:
-        return make()
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=at or None, value=error.value, hint=error.hint
-        ) from error
+    with located(path, at):
+        return SE3.from_quat(wxyz, t).matrix()
 
 
 def _is_number(word: str) -> bool:

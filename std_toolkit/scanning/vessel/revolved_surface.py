@@ -91,8 +91,8 @@ class RevolvedSurface:
             )
         if not (self.wall_seen or known_wall):
             sentences.append(
-                f"no photo shows the inner edge of the rim: a wall of {1000 * self.wall_m:.1f} mm is "
-                "a guess; photograph the rim from above, or measure the wall"
+                f"no photo shows the inner edge of the rim: a wall of {1000 * self.wall_m:.1f} mm "
+                "is a guess; photograph the rim from above, or measure the wall"
             )
         sentences.append("the thickness of the base is a guess")
         if not self.seen.all():
