@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -190,15 +190,13 @@ class Scene:
 
     def _checked_poses(self, poses: CameraPoses) -> CameraPoses:
         path = self.root / "poses.json"
-        self._check_ids(
-            path, (("frame", f"frames[{i}].frame", p.frame) for i, p in enumerate(poses.frames))
-        )
+        for i, pose in enumerate(poses.frames):
+            if pose.frame not in self._frame_by_id:
+                raise _missing("frame in frames.json", path, f"frames[{i}].frame", pose.frame)
         for key, camera in poses.cameras.items():
             recorded = self.info.cameras.get(key)
             if recorded is None:
-                raise ToolkitError(
-                    "no such camera in scene.json", path=path, field="cameras", value=key
-                )
+                raise _missing("camera in scene.json", path, "cameras", key)
             if (camera.width, camera.height) != (recorded.width, recorded.height):
                 raise ToolkitError(
                     f"refined for another image size than {recorded.width}x{recorded.height}",
@@ -209,33 +207,29 @@ class Scene:
         return poses
 
     def _checked_labels(self, labels: Labels) -> Labels:
-        ids: list[tuple[str, str, int]] = []
+        path = self.root / "labels.json"
+        objects = {o.id for o in self.objects.objects}
         for i, label in enumerate(labels.labels):
-            ids.append(("object", f"labels[{i}].object", label.object))
-            ids.append(("frame", f"labels[{i}].frame", label.frame))
-            ids += [("frame", f"labels[{i}].views", int(k)) for k in label.views]
-        self._check_ids(self.root / "labels.json", ids)
+            if label.object not in objects:
+                field = f"labels[{i}].object"
+                raise _missing("object in objects.json", path, field, label.object)
+            for field, frame in [("frame", label.frame), *(("views", int(k)) for k in label.views)]:
+                if frame not in self._frame_by_id:
+                    raise _missing("frame in frames.json", path, f"labels[{i}].{field}", frame)
         return labels
 
     def _checked_annotation(self, annotation: Annotation) -> Annotation:
-        ids: list[tuple[str, str, int]] = []
+        path = self.root / "annotation.json"
+        objects = {o.id for o in self.objects.objects}
         for i, row in enumerate(annotation.objects):
-            ids.append(("object", f"objects[{i}].object", row.object))
-            ids += [
-                ("frame", f"objects[{i}].clicks[{j}].frame", click.frame)
-                for j, click in enumerate(row.clicks)
-            ]
-        self._check_ids(self.root / "annotation.json", ids)
+            if row.object not in objects:
+                field = f"objects[{i}].object"
+                raise _missing("object in objects.json", path, field, row.object)
+            for j, click in enumerate(row.clicks):
+                if click.frame not in self._frame_by_id:
+                    field = f"objects[{i}].clicks[{j}].frame"
+                    raise _missing("frame in frames.json", path, field, click.frame)
         return annotation
-
-    def _check_ids(self, path: Path, ids: Iterable[tuple[str, str, int]]) -> None:
-        """Check that the tables have the ids, each given as "frame" or "object", field and id."""
-        known = {"frame": {*self._frame_by_id}, "object": {o.id for o in self.objects.objects}}
-        for kind, field, given in ids:
-            if given not in known[kind]:
-                raise ToolkitError(
-                    f"no such {kind} in {kind}s.json", path=path, field=field, value=given
-                )
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -394,3 +388,7 @@ def require_metres(scene: Scene) -> None:
             hint="run `std-curate poses` with a scale source (sensor depth, --board FILE, or an "
             "object annotated in two or more frames)",
         )
+
+
+def _missing(what: str, path: Path, field: str, value: object) -> ToolkitError:
+    return ToolkitError(f"no such {what}", path=path, field=field, value=value)
