@@ -183,7 +183,7 @@ class KnownPoses:
         text += f"{self.convention.title}, unit {self.convention.unit}"
         if self.options.hand_eye is not None:
             text += f", hand-eye transform {self.options.hand_eye.name}"
-        return text
+        return "; ".join([text, *self.filed.repairs])
 
 
 def read_known_poses(options: KnownCameras, frames: Sequence[Frame]) -> KnownPoses:
@@ -199,6 +199,8 @@ def read_known_poses(options: KnownCameras, frames: Sequence[Frame]) -> KnownPos
     """
     assert options.cameras is not None
     filed = read_cameras(options.cameras)
+    for repair in filed.repairs:
+        logger.warning("%s: %s", filed.path, repair)
     row = match_frames(filed, frames, max_dt=options.cameras_max_dt)
     lost = [f.name for f in frames if f.id not in row]
     if lost:
