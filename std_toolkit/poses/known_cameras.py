@@ -163,6 +163,21 @@ class KnownPoses:
         applied = (convention or self.convention).apply(self.filed.matrices[rows])
         return dict(zip(self.row, applied, strict=True))
 
+    def shifted(self, step: int) -> dict[int, SE3]:
+        """T_world_cam by frame id if each frame has the pose `step` rows further in the list.
+
+        The list is the file, or the poses of the frames where the file is in another order.
+        """
+        rows = list(self.row.values())
+        if rows == sorted(rows):
+            moved = {f: row + step for f, row in self.row.items()}
+            moved = {f: row for f, row in moved.items() if 0 <= row < len(self.filed.matrices)}
+        else:
+            ends = (slice(None, -step), slice(step, None))
+            ends = ends if step > 0 else (slice(-step, None), slice(None, step))
+            moved = dict(zip(list(self.row)[ends[0]], rows[ends[1]], strict=True))
+        return replace(self, row=moved).poses()
+
     @property
     def metric(self) -> bool:
         return self.convention.unit != "unknown"
