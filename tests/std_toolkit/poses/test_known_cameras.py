@@ -126,6 +126,17 @@ def test_poses_of_other_images_are_refused_unless_asked_for(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("step", "said"), [(-1, "next row .* late"), (1, "previous row .* early")])
+def test_a_list_that_is_shifted_by_one_image_is_named(
+    step: int, said: str, ring: Recording, scene: Scene, tmp_path: Path
+) -> None:
+    names, rows = list(matrices(ring)), list(matrices(ring).values())
+    path = save(tmp_path / "poses", dict(zip(names, np.roll(rows, -step, axis=0), strict=True)))
+    with pytest.raises(ToolkitError, match=f"the pose of the {said} by one image"):
+        run(scene, path)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [True, False])
 def test_the_unit_is_checked(depth: bool, ring: Recording, scene: Scene, tmp_path: Path) -> None:
     if depth:
@@ -159,7 +170,8 @@ def test_frames_without_a_pose_and_with_a_wrong_one(
     assert main(words) == 1
     out, err = capsys.readouterr()
     assert "registered 4 of 6 frames" in out and "unregistered: 000001, 000003" in out
-    assert "the pose of 1 frames does not fit the others: 000003.png (" in out
+    assert "the pose of 1 frames does not fit the others: 000003.png (explains " in out
+    assert "cannot be judged" not in out
     assert "poses has no pose for 000001" in err
     poses = Scene.open(scene.root).poses
     assert poses is not None
