@@ -152,7 +152,7 @@ def label(task: Task, work: Path, seed: int) -> tuple[float, float, int, str]:
         wait(THINK_S)
     verdict = c.ranks[name].sentence()
     wait(KEY_S)
-    if object_verdict(c, name).grade != "good":
+    if object_verdict(c, name).grade != "fits":
         verdict += f" ({object_verdict(c, name).text})"
         hand.answer(lambda dialog: dialog.accept())
     hand.press(Qt.Key.Key_D)

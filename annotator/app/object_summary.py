@@ -78,12 +78,12 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
     if verdict.turned:
         badge = "turned"
     # A small residual alone is no proof: in clutter every contour is near an edge.
-    if verdict.grade in ("poor", "fair"):
+    if verdict.grade in ("wrong", "doubtful"):
         grade = verdict.grade
-    elif grade == "good" and verdict.grade == "unknown":
-        grade = "fair"
-    elif verdict.grade == "good":
-        badge, grade = badge if grade != "unknown" else "fits", "good"
+    elif grade == "fits" and verdict.grade == "unknown":
+        grade = "doubtful"
+    elif verdict.grade == "fits":
+        badge, grade = badge if grade != "unknown" else "fits", "fits"
     parts = [f"{obj.name}: {obj.material} {obj.model}, {state}."]
     if state == "placed":
         parts.append(
@@ -185,9 +185,9 @@ def next_hint(c: Controller) -> str:
     row = next(r for r in summarize(c) if r.name == obj.name)
     if object_verdict(c, obj.name).turned:
         return f"Another turn of {obj.name} fits the texture better: press Y to take it."
-    if row.grade == "poor" and _residual(c.residuals[obj.name])[1] != "poor":
+    if row.grade == "wrong" and _residual(c.residuals[obj.name])[1] != "wrong":
         return f"{obj.name} is not confirmed: check it in every view, or place it again."
-    if row.grade == "poor":
+    if row.grade == "wrong":
         return f"{obj.name} is {row.badge} off: bring it closer, then press R again."
     if row.alarm:
         return f"{obj.name} is {row.alarm}: check it in every view."

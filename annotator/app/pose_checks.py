@@ -94,7 +94,7 @@ def toggle_done(c: Controller) -> None:
         return
     if c.session.object(name).status == "done":
         c.mark("open")
-    elif DOUBT not in c.dialogs or object_verdict(c, name).grade == "good":
+    elif DOUBT not in c.dialogs or object_verdict(c, name).grade == "fits":
         c.mark("done")
     elif name in c.residuals and name in c.ranks:
         c.ask(DOUBT)
@@ -115,7 +115,7 @@ def _measure_then_mark(c: Controller, name: str) -> None:
         _keep(c, objects, ranks, rows)
         if c.selected != name or name not in c.ranks:
             return
-        if object_verdict(c, name).grade == "good":
+        if object_verdict(c, name).grade == "fits":
             c.mark("done")
         else:
             c.ask(DOUBT)

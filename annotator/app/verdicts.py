@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from std_toolkit.checks.measure.ranking import PoseRank
     from std_toolkit.labels.texture.comparison import TextureComparison
 
-Grade = Literal["good", "fair", "poor", "unknown"]
+Grade = Literal["fits", "doubtful", "wrong", "unknown"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Verdict:
     """Whether a pose fits.
 
     Attributes:
-        grade: "good": it fits; "unknown": not measured or not measurable.
+        grade: "fits": it fits; "unknown": not measured or not measurable.
         text: reason in sentences.
         turned: whether another turn fits the texture better.
     """
@@ -55,7 +55,7 @@ class Verdict:
 def grade_row(row: FrameResidual) -> Grade:
     """Return the grade of an object's residuals in one frame."""
     grades = [g for g in (edge_grade(row), depth_grade(row)) if g is not None]
-    order: list[Grade] = ["poor", "fair", "good"]
+    order: list[Grade] = ["wrong", "doubtful", "fits"]
     return min(grades, key=order.index) if grades else "unknown"
 
 
@@ -76,7 +76,7 @@ def depth_grade(row: FrameResidual) -> Grade | None:
 
 
 def graded(value: float, limits: tuple[float, float]) -> Grade:
-    return "good" if value <= limits[0] else "fair" if value <= limits[1] else "poor"
+    return "fits" if value <= limits[0] else "doubtful" if value <= limits[1] else "wrong"
 
 
 def object_verdict(c: Controller, name: str) -> Verdict:
@@ -86,7 +86,7 @@ def object_verdict(c: Controller, name: str) -> Verdict:
     texture = c.textures.get(name)
     if texture is not None and texture.verdict == "turned":
         text = f"Wrong turn: {texture.sentence()}. Press Y to take it."
-        return Verdict("poor", text, turned=True)
+        return Verdict("wrong", text, turned=True)
     rows = c.residuals.get(name, ())
     if not rows:
         return Verdict("unknown", f"Not measured since {name} moved.")
@@ -104,9 +104,9 @@ def measured_verdict(
     visible = [r for r in rows if not r.problem]
     if not visible:
         return Verdict("unknown", "It is visible in none of these frames.")
-    worst = [r.frame for r in visible if grade_row(r) == "poor"]
+    worst = [r.frame for r in visible if grade_row(r) == "wrong"]
     if worst:
-        return Verdict("poor", f"Off in frame {', '.join(map(str, worst))}: check there.")
+        return Verdict("wrong", f"Off in frame {', '.join(map(str, worst))}: check there.")
     informative = [r.frame for r in visible if edge_grade(r) is not None]
     if rank is None or not rank.good:
         if not informative and any(depth_grade(r) is not None for r in visible):
@@ -124,22 +124,22 @@ def measured_verdict(
     if not rank.frames or not rank.nearby:
         return Verdict("unknown", f"{said[:-1]}; check by eye.")
     if not rank.good:
-        return Verdict("poor", f"Not confirmed: other poses fit as well. {said}")
+        return Verdict("wrong", f"Not confirmed: other poses fit as well. {said}")
     # The distance to the nearest edge is at chance level in clutter; the rank in a frame is not.
     shown = {r.frame for r in visible}
     telling, total = {*informative, *rank.telling}, len(shown.union(rank.frames))
     if 2 * len(telling) <= total:
         text = f"{total - len(telling)} of {total} frames are at chance level: check by eye. {said}"
         return Verdict("unknown", text)
-    if any(grade_row(r) == "fair" for r in visible):
-        return Verdict("fair", f"Close, but not exact. {said}")
+    if any(grade_row(r) == "doubtful" for r in visible):
+        return Verdict("doubtful", f"Close, but not exact. {said}")
     also = ""
     if texture is not None and texture.verdict in ("fits", "ambiguous"):
         also = f" {texture.sentence()[:1].upper()}{texture.sentence()[1:]}."
-    return Verdict("good", f"It fits. {said}{also}")
+    return Verdict("fits", f"It fits. {said}{also}")
 
 
 def doubtful_objects(c: Controller, names: Sequence[str]) -> list[tuple[str, str]]:
     """Return name and reason of those objects whose verdict is not good."""
     verdicts = [(name, object_verdict(c, name)) for name in names]
-    return [(name, v.text) for name, v in verdicts if v.grade != "good"]
+    return [(name, v.text) for name, v in verdicts if v.grade != "fits"]

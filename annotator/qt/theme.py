@@ -35,9 +35,9 @@ ACCENT_DEEP = "#3d6d99"
 GOOD, WARNING, BAD = "#6fbf84", "#e0b050", "#e8776a"
 
 GRADE_INK: dict[object_summary.Grade, str] = {
-    "good": GOOD,
-    "fair": WARNING,
-    "poor": BAD,
+    "fits": GOOD,
+    "doubtful": WARNING,
+    "wrong": BAD,
     "unknown": MUTED,
 }
 

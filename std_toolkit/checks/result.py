@@ -13,7 +13,7 @@ from std_toolkit.scene.model import Count, Document, ObjectId, ScaleEstimate, Sc
 
 Severity = Literal["high", "medium", "low"]
 
-Verdict = Literal["good", "doubtful", "bad", "open"]
+Verdict = Literal["fits", "doubtful", "wrong", "unknown"]
 
 Number = float | None
 
@@ -54,7 +54,7 @@ class GateFinding(Document, frozen=True, kw_only=True):
     Attributes:
         gate: its key.
         value: of the object, in the unit of the gate; null if it was not measured.
-        verdict: "open" if what was not measured leaves the verdict open.
+        verdict: "unknown" if what was not measured leaves it open.
         exempt: why the object cannot fail the gate of the scene, or counts less than what was
             measured, or "".
     """
@@ -187,7 +187,7 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             silhouette).
             texture_rival: the same at the best turn; its text is that turn, such as "turned by
             180 deg about z".
-        verdict: the worst of its gates: "good", "doubtful", "bad" or "open" (no evidence).
+        verdict: the worst of its gates: "fits", "doubtful", "wrong" or "unknown" (no evidence).
         gates: what each gate says of it.
         frames: values of single frames.
     """
@@ -201,7 +201,7 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
     annotated_frame: Count | None = None
     frames_seen: Count = 0
     values: list[Value] = msgspec.field(default_factory=list)
-    verdict: Verdict = "open"
+    verdict: Verdict = "unknown"
     gates: list[GateFinding] = msgspec.field(default_factory=list)
     frames: list[ObjectFrameCheck] = msgspec.field(default_factory=list)
 

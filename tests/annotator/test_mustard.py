@@ -139,4 +139,4 @@ def test_only_the_label_is_said_to_fit(labelled: Scene, axis: int, degrees: floa
 
     rank = rank_objects(labelled, {1: pose}, {1: mesh}, {1: Symmetry()}, frames)[1]
     rows = measure_residuals(labelled, {1: pose}, {1: "diffuse"}, {1: mesh}, frames[::20])[1]
-    assert (measured_verdict(rows, rank).grade == "good") == (degrees == 0), rank
+    assert (measured_verdict(rows, rank).grade == "fits") == (degrees == 0), rank

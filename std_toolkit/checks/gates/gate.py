@@ -282,7 +282,7 @@ class ObjectGate(Gate):
     counts: bool = False
     exempt: Callable[[ObjectCheck, Measured], str] = unseen
     accept: Callable[[CheckOptions], str] | None = None
-    verdict: Verdict = "bad"
+    verdict: Verdict = "wrong"
     unmeasured: Verdict | None = None
     warn_from: float | None = None
     detail: Callable[[Readings, Measured], str] = object_names
@@ -317,7 +317,7 @@ class ObjectGate(Gate):
         return GateFinding(
             gate=self.key,
             value=round(reading.value, 3),
-            verdict="good" if self.meets(reading, measured.options) else self.verdict,
+            verdict="fits" if self.meets(reading, measured.options) else self.verdict,
             exempt=self.exempt(item, measured) or reading.excuse,
         )
 
@@ -325,7 +325,7 @@ class ObjectGate(Gate):
         found = []
         for item in measured.objects if self.warn_from is not None else ():
             row = self.finding(item, measured)
-            if row is None or row.value is None or row.verdict != "good":
+            if row is None or row.value is None or row.verdict != "fits":
                 continue
             if not row.exempt and self.is_noted(row.value):
                 title = self.row(None, measured.options).title

@@ -32,7 +32,7 @@ _FAMILIES = (
 )
 _added: list[Gate] = []
 # From the best verdict to the worst: what nobody could see is worse than a doubt.
-_ORDER: tuple[result.Verdict, ...] = ("good", "doubtful", "open", "bad")
+_ORDER: tuple[result.Verdict, ...] = ("fits", "doubtful", "unknown", "wrong")
 _SEVERITY: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
 
 
@@ -153,9 +153,9 @@ def judge_rows(measured: Measured) -> result.CheckReport:
 def _with_verdict(
     item: result.ObjectCheck, gates: Sequence[Gate], measured: Measured
 ) -> result.ObjectCheck:
-    """The object with the worst verdict of its gates; "open" without any."""
+    """The object with the worst verdict of its gates; "unknown" without any."""
     found = [f for gate in gates if (f := gate.finding(item, measured)) is not None]
-    verdict = max((f.verdict for f in found), key=_ORDER.index, default="open")
+    verdict = max((f.verdict for f in found), key=_ORDER.index, default="unknown")
     return msgspec.structs.replace(item, gates=found, verdict=verdict)
 
 

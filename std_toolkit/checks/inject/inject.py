@@ -262,8 +262,8 @@ def _merged(base: FrameObservation, again: FrameObservation, fault: Fault) -> Fr
 def _compare(plain: CheckReport, report: CheckReport, fault: Fault) -> _Outcome:
     failed = {g.key for g in plain.failed_gates()}
     caught = [g.key for g in report.failed_gates() if g.key not in failed]
-    bad = {o.object for o in plain.objects if o.verdict == "bad"}
-    new = {o.object for o in report.objects if o.verdict == "bad"} - bad
+    bad = {o.object for o in plain.objects if o.verdict == "wrong"}
+    new = {o.object for o in report.objects if o.verdict == "wrong"} - bad
     if not caught and (new & {fault.object} if fault.object else new):
         caught = ["verdict"]
     return _Outcome(tuple(caught), {g.key: g for g in report.gates})

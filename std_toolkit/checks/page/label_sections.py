@@ -102,7 +102,7 @@ def _label_figures(report: result.CheckReport) -> list[page.Block]:
 
 
 def _label_row(report: result.CheckReport, item: result.ObjectCheck) -> Row:
-    bad = {f.gate for f in item.gates if f.verdict == "bad"}
+    bad = {f.gate for f in item.gates if f.verdict == "wrong"}
     cells = [name_cell(report, item), Cell(text=item.verdict, tag=item.verdict)]
     for column, name, gate in _VALUES:
         text = column.text(item.value(name)) or NONE

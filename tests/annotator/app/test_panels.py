@@ -60,16 +60,16 @@ GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
 @pytest.mark.parametrize(
     "rows, rank, grade, words",
     [
-        (GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6), "good", "200 of 200 nearby poses"),
-        (GOOD, PoseRank(150, 200, (0, 1), (0, 1), -0.1, 0.6), "poor", "150 of 200"),
-        (GOOD, PoseRank(200, 200, (0, 1), (0, 1), 0.1, 0.6), "poor", "another turn fits as well"),
+        (GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6), "fits", "200 of 200 nearby poses"),
+        (GOOD, PoseRank(150, 200, (0, 1), (0, 1), -0.1, 0.6), "wrong", "150 of 200"),
+        (GOOD, PoseRank(200, 200, (0, 1), (0, 1), 0.1, 0.6), "wrong", "another turn fits as well"),
         (
             GOOD,
             PoseRank(200, 200, (0, 1), (0,), -0.1, 0.6),
-            "poor",
+            "wrong",
             "1 of 2 frames is inconclusive",
         ),
-        (GOOD, PoseRank(200, 200, (0,), (0,), -0.1, 0.6), "poor", "one frame alone"),
+        (GOOD, PoseRank(200, 200, (0,), (0,), -0.1, 0.6), "wrong", "one frame alone"),
         (
             [*GOOD, residual(2, 19.0, None), residual(3, 19.0, None)],
             PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6),
@@ -80,7 +80,7 @@ GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
         (
             [residual(k, 19.0, None) for k in range(4)],
             PoseRank(198, 200, (0, 1, 2, 3), (0, 1, 2), -0.1, 0.6),
-            "good",
+            "fits",
             "1 of 4 frames is inconclusive",
         ),
         (
@@ -173,7 +173,7 @@ def test_numbers_of_a_residual_have_their_units_and_grades(desk: Desk) -> None:
     desk.controller.residuals["box_1"] = [residual(2, 2.0, -120.4)]
     (row,) = residual_rows(desk.controller)
     assert (row.frame, row.edges, row.chance, row.depth) == (2, "2.0 px", "20.0 px", "-120 mm")
-    assert (row.edge_grade, row.depth_grade) == ("fair", "poor")
+    assert (row.edge_grade, row.depth_grade) == ("doubtful", "wrong")
 
 
 def test_frames_are_marked_by_their_place(desk: Desk) -> None:

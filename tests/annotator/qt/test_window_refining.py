@@ -83,7 +83,7 @@ def test_residuals_come_by_themselves_and_go_when_the_object_moves(bench: Bench)
     bench.qtbot.waitUntil(lambda: "box_1" in bench.controller.ranks, timeout=30_000)
     rows = bench.space.objects.model.rows
     assert rows[0].badge.endswith("px")
-    assert rows[0].grade == "good"
+    assert rows[0].grade == "fits"
     assert panel.summary.text().startswith("It fits. Better than")
     bench.press(Qt.Key.Key_Right)
     assert "box_1" not in bench.controller.residuals

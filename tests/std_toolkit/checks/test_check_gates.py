@@ -109,7 +109,7 @@ def scale(difference: float, *, deviation: float = 0.001) -> ScaleReport:
 
 def test_a_good_scene_fails_nothing() -> None:
     assert [g.key for g in gates().values() if g.status == "fail"] == []
-    assert verdict(GOOD) == "good"
+    assert verdict(GOOD) == "fits"
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_bad_label_fails_its_gate(change: dict[str, object], key: str) -> None
     assert failed[key].advice
     assert "mug" in failed[key].detail
     if key in ("edges", "shift", "depth", "drift", "covariance"):
-        assert verdict(item) == "bad"
+        assert verdict(item) == "wrong"
 
 
 @pytest.mark.parametrize(
@@ -284,7 +284,7 @@ def test_pixels_count_where_the_motion_is_not_small(motion_mm: float, fails: boo
     gate = gates(item)["edges"]
     assert (gate.status, gate.value) == (("fail", 5.0) if fails else ("pass", 3.0))
     assert bool(finding(item, "edges").exempt) != fails
-    assert verdict(item) == ("bad" if fails else "good")
+    assert verdict(item) == ("wrong" if fails else "fits")
 
 
 def test_a_mesh_of_another_shape_is_excused_with_its_reason() -> None:

@@ -81,14 +81,14 @@ def test_labels_that_fit_the_depth_but_miss_the_image_are_told(
 ) -> None:
     """What a person sees in the overlays: the sugar box fits, the cracker box and wood do not."""
     rows = check_frame(test_data, tmp_path / "0", 0, "poses_refined")
-    assert rows["004_sugar_box"].verdict == "good"
-    assert rows["003_cracker_box"].verdict == "bad"
+    assert rows["004_sugar_box"].verdict == "fits"
+    assert rows["003_cracker_box"].verdict == "wrong"
     assert abs(rows["004_sugar_box"].value("depth_mm") or 99) < 2
     assert all(abs(o.value("depth_mm") or 99) < 5 for o in rows.values())
     rows = check_frame(test_data, tmp_path / "3", 3, "poses_refined")
-    assert rows["007_tuna_fish_can"].verdict == "good"
-    assert rows["036_wood_block"].verdict == "bad"
-    assert {rows[n].verdict for n in ("035_power_drill", "037_scissors")} <= {"bad", "doubtful"}
+    assert rows["007_tuna_fish_can"].verdict == "fits"
+    assert rows["036_wood_block"].verdict == "wrong"
+    assert {rows[n].verdict for n in ("035_power_drill", "037_scissors")} <= {"wrong", "doubtful"}
 
 
 @pytest.mark.slow
@@ -97,4 +97,4 @@ def test_first_guesses_fail_by_depth(test_data: Path, tmp_path: Path) -> None:
     rows = check_frame(test_data, tmp_path / "0", 0, "poses")
     off = [o.name for o in rows.values() if abs(o.value("depth_mm") or 0) > 5]
     assert len(off) == 5
-    assert rows["003_cracker_box"].verdict == "bad"
+    assert rows["003_cracker_box"].verdict == "wrong"

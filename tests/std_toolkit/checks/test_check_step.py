@@ -74,7 +74,7 @@ def test_true_labels_pass_and_the_report_is_self_contained(make_scene: MakeScene
     report = check(scene)
     assert report.passed and report.verdict == "PASS: labels usable"
     for item in report.objects:
-        assert item.verdict == "good"
+        assert item.verdict == "fits"
         edge, offset, drift = (item.value(key) for key in ("edge_px", "offset_mm", "drift_px"))
         assert edge is not None and edge < 0.2
         assert item.value("depth_mm") == pytest.approx(0, abs=0.15)
@@ -133,7 +133,7 @@ def test_a_label_5_px_aside_fails_and_is_told_by_how_much(make_scene: MakeScene)
     assert failed(report) >= {"edges", "shift"}
     assert report.verdict.startswith("FAIL: ")
     good, bad = report.objects
-    assert good.verdict == "good" and bad.verdict == "bad"
+    assert good.verdict == "fits" and bad.verdict == "wrong"
     assert bad.value("shift_px") == pytest.approx(5, abs=0.3)
     offset = bad.entry("offset_mm")
     assert offset is not None
@@ -216,7 +216,7 @@ def test_scene_without_labels_fails_and_says_so(make_scene: MakeScene) -> None:
     report = check(scene)
     assert failed(report) == {"labelled"}
     assert any("Labels" in m for m in report.missing)
-    assert {o.verdict for o in report.objects} == {"open"}
+    assert {o.verdict for o in report.objects} == {"unknown"}
 
 
 @pytest.mark.slow
@@ -265,7 +265,7 @@ def test_damaged_frame_is_listed_and_the_rest_is_checked(make_scene: MakeScene) 
     assert failed(report) == {"frames"}
     assert report.frames[2].problem and not report.frames[2].looked_at
     assert report.summary.looked_at == 3
-    assert report.objects[0].verdict == "good"
+    assert report.objects[0].verdict == "fits"
 
 
 @pytest.mark.slow

@@ -128,8 +128,8 @@ def test_an_object_that_moved_is_found(
         i for i, s in enumerate(states) if s in (BAD, SHIFTED)
     ]
     report = judged(found)
-    assert {f.gate for f in report.objects[0].gates if f.verdict == "bad"} == {"moved"}
-    assert [o.verdict for o in report.objects] == ["bad", "good"]
+    assert {f.gate for f in report.objects[0].gates if f.verdict == "wrong"} == {"moved"}
+    assert [o.verdict for o in report.objects] == ["wrong", "fits"]
     gate = report.gate("moved")
     assert gate.status == "fail" and f"between frames {between[0][0]:03d} and" in gate.detail
 

@@ -72,7 +72,7 @@ def judged(*items: ObjectCheck, options: CheckOptions | None = None) -> CheckRep
 
 def test_a_gate_from_outside_is_everywhere() -> None:
     before = judged(tilted(1, 1.0), tilted(2, 9.0))
-    assert before.passed and {o.verdict for o in before.objects} == {"good"}
+    assert before.passed and {o.verdict for o in before.objects} == {"fits"}
     register_gate(tilt_gate(after="rotation"))
     report = judged(tilted(1, 1.0), tilted(2, 9.0))
     keys = [g.key for g in report.gates]
@@ -81,9 +81,9 @@ def test_a_gate_from_outside_is_everywhere() -> None:
     assert (row.value, row.deviation, row.limit, row.status) == (9.0, 0.5, 2.5, "fail")
     assert row.detail == "o2"
     assert report.verdict == "FAIL: 1 gate: tilt"
-    assert [o.verdict for o in report.objects] == ["good", "bad"]
+    assert [o.verdict for o in report.objects] == ["fits", "wrong"]
     (finding,) = (f for f in report.objects[1].gates if f.gate == "tilt")
-    assert (finding.value, finding.verdict) == (9.0, "bad")
+    assert (finding.value, finding.verdict) == (9.0, "wrong")
     (warning,) = (w for w in report.warnings if w.gate == "tilt")
     assert (warning.about, warning.advice) == ("o2", "put it upright")
     assert warning.problem == f"{TILT}: 9 deg, must be at most 2.5 deg"
@@ -126,7 +126,7 @@ def test_an_exempt_object_keeps_its_verdict_and_does_not_fail_the_scene() -> Non
     register_gate(tilt_gate(exempt=lambda item, _: "leans" if item.name == "o2" else ""))
     report = judged(tilted(1, 1.0), tilted(2, 9.0))
     assert report.passed and report.gate("tilt").value == 1.0
-    assert [o.verdict for o in report.objects] == ["good", "bad"]
+    assert [o.verdict for o in report.objects] == ["fits", "wrong"]
     assert {f.exempt for f in report.objects[1].gates if f.gate == "tilt"} == {"leans"}
 
 
@@ -144,7 +144,7 @@ def test_a_gate_without_a_value_is_open_and_says_nothing_of_an_object() -> None:
     register_gate(tilt_gate())
     report = judged(tilted(1, None))
     assert report.gate("tilt").status == "open" and report.passed
-    assert report.objects[0].verdict == "good"
+    assert report.objects[0].verdict == "fits"
     # An object without a label in the world cannot fail the scene.
     report = judged(tilted(1, 9.0, label="annotated"))
     assert report.gate("tilt").status == "open"
@@ -153,10 +153,10 @@ def test_a_gate_without_a_value_is_open_and_says_nothing_of_an_object() -> None:
 @pytest.mark.parametrize(
     ("verdicts", "worst"),
     [
-        (["good", "doubtful"], "doubtful"),
-        (["doubtful", "open"], "open"),
-        (["open", "bad"], "bad"),
-        (["good", "good"], "good"),
+        (["fits", "doubtful"], "doubtful"),
+        (["doubtful", "unknown"], "unknown"),
+        (["unknown", "wrong"], "wrong"),
+        (["fits", "fits"], "fits"),
     ],
 )
 def test_the_verdict_is_the_worst_of_the_gates(
@@ -164,8 +164,8 @@ def test_the_verdict_is_the_worst_of_the_gates(
 ) -> None:
     monkeypatch.setattr(judge, "_FAMILIES", ())
     for k, verdict in enumerate(verdicts):
-        # A limit that nothing exceeds says "good".
-        limit = 100.0 if verdict == "good" else 0.0
+        # A limit that nothing exceeds says "fits".
+        limit = 100.0 if verdict == "fits" else 0.0
         register_gate(
             tilt_gate(key=f"gate{k}", verdict=verdict, limit=lambda _, limit=limit: limit)
         )
