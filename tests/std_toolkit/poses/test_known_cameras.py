@@ -126,14 +126,19 @@ def test_poses_of_other_images_are_refused_unless_asked_for(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("step", "said"), [(-1, "next row .* late"), (1, "previous row .* early")])
-def test_a_list_that_is_shifted_by_one_image_is_named(
-    step: int, said: str, ring: Recording, scene: Scene, tmp_path: Path
-) -> None:
-    names, rows = list(matrices(ring)), list(matrices(ring).values())
-    path = save(tmp_path / "poses", dict(zip(names, np.roll(rows, -step, axis=0), strict=True)))
-    with pytest.raises(ToolkitError, match=f"the pose of the {said} by one image"):
-        run(scene, path)
+def test_a_list_that_is_shifted_by_one_image_is_named(tmp_path: Path) -> None:
+    """Poses at equal steps of an arc would fit when shifted: their steps are unequal here."""
+    every = make_recording(15, arc_deg=70, seed=4)
+    part = [0, 1, 4, 6, 10, 11, 14]
+    uneven = Recording([every.colors[i] for i in part], [], [every.truth[i] for i in part])
+    scene = uneven.write(tmp_path / "scene", depth=False)
+    names, rows = list(matrices(uneven)), list(matrices(uneven).values())
+    late = dict(zip(names[1:], rows[:-1], strict=True))
+    with pytest.raises(ToolkitError, match=r"the pose of the next row .* is late by one image"):
+        run(scene, save(tmp_path / "late", late))
+    early = dict(zip(names[:-1], rows[1:], strict=True))
+    with pytest.raises(ToolkitError, match=r"the pose of the previous row .* early by one image"):
+        run(scene, save(tmp_path / "early", early))
 
 
 @pytest.mark.slow

@@ -186,7 +186,7 @@ def third(tabletop_poses: Path, folder: Path, tmp_path_factory) -> tuple[Scene, 
     words = ["--quiet", "import", "--color", str(root / "images"), "--out", str(root / "third")]
     words += ["--intrinsics", ",".join(str(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))]
     assert main(words) == 0
-    return Scene.open(root / "third"), {f.name: every.T_world_cam(f) for f in chosen}
+    return Scene.open(root / "third"), {f.name: every.T_world_cam(f.id) for f in chosen}
 
 
 def known(scene: Scene, poses: dict[str, SE3], folder: Path) -> CameraPoses:
