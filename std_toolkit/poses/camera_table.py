@@ -8,18 +8,16 @@ rotation      `qw qx qy qz`, or the rotation vector `rx ry rz` in radians
 or a matrix   `m00` to `m33` (or to `m23`), row-major
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.arrays import Array
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.geometry.se3 import ROTATION_TOLERANCE, nearest_rotation, so3_exp
@@ -65,7 +63,7 @@ class FiledCameras:
 
     path: Path
     kind: str
-    matrices: NDArray[np.float64]
+    matrices: Array
     keys: list[str] | None = None
     lenses: Sequence[Intrinsics | None] = ()
     convention: str | None = None
@@ -73,7 +71,7 @@ class FiledCameras:
     unit_is_open: bool = False
     repairs: Sequence[str] = ()
 
-    def rigid(self) -> FiledCameras:
+    def rigid(self) -> Self:
         """Return the poses with exact rotations and the last row 0 0 0 1."""
         off = np.array([rotation_deviation(M) for M in self.matrices])
         rough = int((off > ROTATION_TOLERANCE).sum())
@@ -114,7 +112,7 @@ class FiledCameras:
         return lenses[0]
 
 
-def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
+def as_matrix(value: Any, path: Path, at: str) -> Array:
     """Return 16 or 12 numbers in any nesting as (4, 4), of which `FiledCameras.rigid` makes a pose.
 
     Raises:
@@ -131,18 +129,19 @@ def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
         )  # fmt: skip
     M = M.reshape(-1, 4)
     M = M if len(M) == 4 else np.vstack([M, [0.0, 0.0, 0.0, 1.0]])
-    _placed(lambda: _rigid(M), path, at)
+    with located(path, at):
+        _rigid(M)
     return M
 
 
-def rotation_deviation(M: NDArray[np.float64]) -> float:
+def rotation_deviation(M: Array) -> float:
     """Largest entry of `R R^T - I` of the rotation of a homogeneous matrix (4, 4), see `_rigid`."""
     R = M[:3, :3]
     off = [float(np.abs(A @ A.T - np.eye(3)).max()) for A in (R, R / M[3, 3])]
     return min(off)
 
 
-def _rigid(M: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rigid(M: Array) -> Array:
     """Return the rigid transform of a homogeneous matrix (4, 4) with the last row 0 0 0 w.
 
     A homogeneous matrix is known up to a factor, so that M / w is the pose, if its rotation is
@@ -287,7 +286,7 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
 
 def _csv_matrix(
     values: list[float], rotation: tuple[str, ...] | None, path: Path, at: str
-) -> NDArray[np.float64]:
+) -> Array:
     if rotation is None:
         return as_matrix(values, path, at)
     if rotation == _QUATERNION:
@@ -297,20 +296,9 @@ def _csv_matrix(
     return SE3(so3_exp(values[3:]), np.array(values[:3])).matrix()
 
 
-def _from_quat(
-    wxyz: Sequence[float], t: Sequence[float], path: Path, at: str
-) -> NDArray[np.float64]:
-    return _placed(lambda: SE3.from_quat(wxyz, t).matrix(), path, at)
-
-
-def _placed(make: Callable[[], NDArray[np.float64]], path: Path, at: str) -> NDArray[np.float64]:
-    """Add the place in the file to an error."""
-    try:
-        return make()
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=at or None, value=error.value, hint=error.hint
-        ) from error
+def _from_quat(wxyz: Sequence[float], t: Sequence[float], path: Path, at: str) -> Array:
+    with located(path, at):
+        return SE3.from_quat(wxyz, t).matrix()
 
 
 def _is_number(word: str) -> bool:

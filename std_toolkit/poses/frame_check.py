@@ -11,8 +11,6 @@ the points of the model, unique or not. Where a pattern repeats, both poses find
 the frame cannot be judged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,15 +18,16 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
-from std_toolkit.poses import features, reconstruct, register
+from std_toolkit.poses import features, register
 from std_toolkit.poses.colmap import (
     add_image,
     from_rigid3d,
+    image_id_of,
     to_colmap_camera,
     to_colmap_pixels,
     to_rigid3d,
@@ -140,7 +139,7 @@ def points_of_others(
     camera: Mapping[int, Camera],
     *,
     px: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Triangulate the points of a frame from the other frames alone.
 
     Args:
@@ -196,7 +195,7 @@ def count_explained(
     """
     points = {f: points_of_others(f, tracks, T_world_cam, camera, px=px) for f in T_world_cam}
 
-    def errors(f: int, T_cam_world: SE3) -> NDArray[np.float64]:
+    def errors(f: int, T_cam_world: SE3) -> Array:
         xyz, uv = points[f]
         return np.asarray(np.linalg.norm(camera[f].project(T_cam_world @ xyz) - uv, axis=1))
 
@@ -298,7 +297,7 @@ def add_frames(
     report.raise_if_failed()
     for _, frame in rest:
         found: register.Registration | None = report.results[files.names[frame.id]]
-        uv: NDArray[np.float64] = np.zeros((0, 2))
+        uv: Array = np.zeros((0, 2))
         ids = np.zeros(0, dtype=np.int64)
         if found is None:
             verdicts.unclear[frame.id] = "too few features match"
@@ -321,7 +320,7 @@ def add_frames(
                 )
         add_image(
             model,
-            image_id=reconstruct.image_id_of(frame),
+            image_id=image_id_of(frame),
             name=frame.color,
             camera_id=camera_ids[frame.camera],
             T_cam_world=poses[frame.id].inverse(),

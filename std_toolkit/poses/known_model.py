@@ -1,7 +1,5 @@
 """Reconstruction at known camera poses: check, triangulation, refinement with fixed scale."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -13,12 +11,15 @@ import numpy as np
 import pycolmap
 
 from std_toolkit import errors, log
-from std_toolkit.geometry import SE3, Camera, camera, rotation_angle
+from std_toolkit.geometry import SE3, Camera, depth_maps, rotation_angle
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
 from std_toolkit.poses import features, mapping, reconstruct, register
 from std_toolkit.poses.colmap import (
+    Reconstructed,
+    Reconstruction,
     from_rigid3d,
+    image_id_of,
     observations,
     quiet_colmap,
     to_colmap_camera,
@@ -32,7 +33,7 @@ from std_toolkit.poses.frame_check import (
     judge_keyframes,
 )
 from std_toolkit.poses.known_cameras import KnownPoses
-from std_toolkit.poses.pose_check import better_shift, check_poses, join_tracks
+from std_toolkit.poses.pose_check import check_poses, join_tracks, refuse_shifted
 from std_toolkit.poses.scale_sources import DepthScale, ScaleContext, resolve_scale
 from std_toolkit.poses.small_sets import verified_matches
 from std_toolkit.scene import Frame, Scene
@@ -67,7 +68,7 @@ def reconstruct_known(
     *,
     options: PoseOptions,
     jobs: JobOptions,
-) -> tuple[reconstruct.Reconstructed, list[str]]:
+) -> tuple[Reconstructed, list[str]]:
     """Check the known poses against the images and triangulate the points that they explain.
 
     Args:
@@ -106,7 +107,7 @@ def reconstruct_known(
     log.logger.info("known camera poses: checking %d, %d image pairs", len(keyframes), len(pairs))
     images = [
         mapping.MappingImage(
-            image_id=reconstruct.image_id_of(f), name=f.color, camera=f.camera,
+            image_id=image_id_of(f), name=f.color, camera=f.camera,
             features=loaded[f.id],
         )
         for f in keyframes
@@ -133,7 +134,7 @@ def reconstruct_known(
     held = {f.id: poses[f.id] for _, f in kept}
     model = _triangulate(database, work, keyframes, held, cameras, camera_ids, options)
     _check_distance(model, known)
-    number = reconstruct.image_id_of
+    number = image_id_of
     index = register.build_index(
         model,
         [(number(f), names[f.id], i) for i, f in kept],
@@ -155,20 +156,14 @@ def reconstruct_known(
         jobs=jobs,
     )
     if verdicts.wrong and verdict.median_px is not None and not known.options.cameras_unchecked:
-        advice = better_shift(known, tracks, lens, verdict.median_px)
-        if advice:
-            raise errors.ToolkitError(
-                f"these poses do not explain {len(verdicts.wrong)} of the images",
-                path=known.filed.path,
-                hint=advice,
-            )
+        refuse_shifted(known, tracks, lens, verdict.median_px)
     file_names = {f.id: f.color.rsplit("/")[-1] for f in frames}
     notes = [known.note(), *verdict.notes, *verdicts.notes(file_names)]
     if known.options.cameras_use == "refine":
         used = {f: T for f, T in poses.items() if model.exists_image(f + 1)}
         notes.append(_refine(model, used, verdict.median_px or 0.0, options))
-    about = reconstruct.Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
-    return reconstruct.Reconstructed(model, about), notes
+    about = Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
+    return Reconstructed(model, about), notes
 
 
 def known_scale(
@@ -283,7 +278,7 @@ def _triangulate(
         image = pycolmap.Image(
             name=frame.color,
             camera_id=camera_ids[frame.camera],
-            image_id=reconstruct.image_id_of(frame),
+            image_id=image_id_of(frame),
         )
         model.add_image_with_trivial_frame(image, to_rigid3d(poses[frame.id].inverse()))
     pipeline = pycolmap.IncrementalPipelineOptions()
@@ -307,7 +302,7 @@ def _check_distance(model: Any, known: KnownPoses) -> None:
     if len(every) == 0:
         return
     median = float(np.median(every))
-    if not camera.SMALLEST_MEDIAN_DEPTH_M <= median <= camera.LARGEST_MEDIAN_DEPTH_M:
+    if not depth_maps.SMALLEST_MEDIAN_DEPTH_M <= median <= depth_maps.LARGEST_MEDIAN_DEPTH_M:
         raise errors.ToolkitError(
             f"by these poses the objects are {median:.4g} m from the camera",
             path=known.filed.path,

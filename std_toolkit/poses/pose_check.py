@@ -246,19 +246,27 @@ def _explained(
     return text if good and error * PoseCheckSettings.current().better_factor < median else ""
 
 
-def better_shift(
+def refuse_shifted(
     known: KnownPoses, tracks: Tracks, camera: Mapping[int, Camera], median: float
-) -> str:
-    """Say which shift of the list by one pose explains the images better than the list, if any.
+) -> None:
+    """Refuse poses that explain the images much better if the list is shifted by one.
 
     Args:
         known: the poses.
         tracks: matched features of the frames with poses.
         camera: intrinsics by frame id.
         median: median reprojection error of the poses.
+
+    Raises:
+        ToolkitError: a shift explains the images better; it is named.
     """
     error, text = _shifted(known, tracks, camera)
-    return text if error * PoseCheckSettings.current().better_factor < median else ""
+    if error * PoseCheckSettings.current().better_factor < median:
+        raise ToolkitError(
+            f"these poses do not explain all images: {_px(median)}",
+            path=known.filed.path,
+            hint=text,
+        )
 
 
 def _shifted(known: KnownPoses, tracks: Tracks, camera: Mapping[int, Camera]) -> tuple[float, str]:
