@@ -9,9 +9,12 @@ import pycolmap
 import pytest
 from numpy.typing import NDArray
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
+from std_toolkit.options import KnownCameras
 from std_toolkit.poses import PoseOptions, register
+from std_toolkit.poses.camera_table import FiledCameras
 from std_toolkit.poses.colmap import to_colmap_camera
 from std_toolkit.poses.features import describe_image, feature_path, train_vocabulary
 from std_toolkit.poses.frame_check import (
@@ -23,7 +26,8 @@ from std_toolkit.poses.frame_check import (
     judge_keyframes,
     points_of_others,
 )
-from std_toolkit.poses.pose_check import Tracks
+from std_toolkit.poses.known_cameras import Convention, KnownPoses
+from std_toolkit.poses.pose_check import Tracks, refuse_shifted
 from std_toolkit.scene import Frame
 from tests.std_toolkit.poses.conftest import CAMERA, look_at
 
@@ -134,6 +138,31 @@ def test_a_frame_with_few_features_cannot_be_judged(xyz) -> None:
 def test_limits_of_an_accusation() -> None:
     assert Explained(0, 8).contradicts and not Explained(0, 7).contradicts
     assert Explained(100, 158).contradicts and not Explained(100, 157).contradicts
+
+
+def test_a_shift_of_the_list_is_named_where_frames_fail(xyz) -> None:
+    rng = np.random.default_rng(4)
+    truth = {f: T @ SE3.exp(rng.normal(size=6) * 0.05) for f, T in arc(8).items()}
+    tracks = tracks_of(truth, xyz, 0.3)
+    matrices = np.array([T.matrix() for T in truth.values()])
+    for filed, row, said in (
+        (matrices, {f: f for f in range(8)}, None),
+        (matrices, {f: f - 1 for f in range(1, 8)}, "the pose of the next row .* late by one"),
+        (matrices, {f: f + 1 for f in range(7)}, "the pose of the previous row .* early by one"),
+    ):
+        known = KnownPoses(
+            filed=FiledCameras(path=Path("log.txt"), kind="matrices", matrices=filed),
+            row=row,
+            convention=Convention(),
+            options=KnownCameras(),
+        )
+        own = tracks.among(row)
+        median = float(np.median(own.errors(known.poses(), LENS)))
+        if said is None:
+            refuse_shifted(known, own, LENS, median)
+        else:
+            with pytest.raises(ToolkitError, match=said):
+                refuse_shifted(known, own, LENS, median)
 
 
 def save_features(folder: Path, name: str, uv: NDArray, descriptors: NDArray) -> None:
