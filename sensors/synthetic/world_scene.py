@@ -34,7 +34,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from sensors.synthetic.kinds import JUDGING, MATERIAL_OF, Kind, Look, kind_named, names
+from sensors.synthetic.kinds import JUDGING, MATERIAL_OF, Kind, Look, kind_named
 from sensors.synthetic.recording import (
     UPRIGHT,
     Placed,
@@ -211,7 +211,7 @@ def draw_world(
     noisy, other = bool(rng.random() < 0.5), bool(rng.random() < 0.6)
     return World(
         seed=seed,
-        kinds=names(kinds),
+        kinds=tuple(sorted(kind.name for kind in kinds)),
         frames=frames,
         width=width,
         height=height,
