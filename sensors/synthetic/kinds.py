@@ -4,8 +4,6 @@
 cartons, prisms, vessels, flat dishes, mirrors without edges and objects with a handle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args

@@ -4,18 +4,14 @@ Every surface is watertight. Parts that are joined overlap without being merged:
 closed, and cameras see the outermost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from sensors.synthetic.shapes import finely
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import so3_exp
-
-Array = NDArray[np.float64]
 
 SECTIONS = 72
 # Edges of flat faces: interpolated normals round a corner over this length, as a carton has it.

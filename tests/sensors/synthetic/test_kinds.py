@@ -1,7 +1,5 @@
 """Objects of all kinds are closed, of the stated size, and symmetric as stated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

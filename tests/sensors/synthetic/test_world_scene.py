@@ -1,7 +1,5 @@
 """Scenes of many kinds: the images show the labelled objects, and a seed gives one scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
