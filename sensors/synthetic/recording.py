@@ -3,12 +3,7 @@
 The camera moves along a hand-held arc around the table.
 """
 
-<<<<<<< HEAD
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
-=======
->>>>>>> main
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path

@@ -37,15 +37,17 @@ def scale_share(summary: SceneSummary) -> float:
     """Relative depth uncertainty from the scale: errors of its sources and of the sensor.
 
     The largest of: the standard error of the scale, the disagreement of its sources, and the bias
-    that all diffuse objects share (if it is plausible for a sensor).
+    that all diffuse objects share (if it is plausible for a sensor). One object alone does not tell
+    its own error from a bias, which may be as large as is plausible.
     """
     share = 0.0
     if summary.scale is not None:
         share = max(share, summary.scale.consistent().disagreement)
         chosen = [e for e in summary.scale.estimates if e.source == summary.scale.chosen]
         share = max([share, *(e.standard_error for e in chosen)])
-    bias = abs(summary.depth_bias or 0.0)
-    return max(share, bias if bias <= DepthSettings.current().largest_bias else 0.0)
+    largest = DepthSettings.current().largest_bias
+    bias = largest if summary.depth_bias is None else abs(summary.depth_bias)
+    return max(share, bias if bias <= largest else 0.0)
 
 
 def depth_excess_mm(item: ObjectCheck, share: float) -> Number:
