@@ -34,10 +34,13 @@ class CheckGate(Document, frozen=True, kw_only=True):
         status: "pass", "fail", or "open" (not measured; does not fail the check).
         detail: source of the value.
         advice: how to fix a failure.
+        scope: "scene" if a failure fails the scene, "label" if it counts by the verdict of an
+            object.
     """
 
     key: str
     title: str
+    scope: Literal["scene", "label"] = "scene"
     value: Number
     deviation: Number = None
     limit: float
@@ -338,7 +341,8 @@ class CheckReport(Document, frozen=True, kw_only=True):
     """check/report.json.
 
     Attributes:
-        passed: whether no gate failed.
+        passed: whether no gate of the scene failed and no label is wrong or doubtful; see
+            `gates.outcome`.
         verdict: one line.
         missing: what the scene lacks, one sentence each.
         limits: the options of the check, and the limits of `--settings` that differ from the

@@ -116,8 +116,8 @@ def render(command: RenderCommand) -> int:
 class CheckCommand:
     """Compare the labels of a scene with its images and depth.
 
-    Writes check/report.html, report.json, report.csv and frames.csv. Exit status 1 if a gate
-    fails.
+    Writes check/report.html, report.json, report.csv and frames.csv, and the verdict on each label
+    into labels.json. Exit status 1 if a label is wrong or doubtful, or a gate of the scene fails.
     """
 
     scene: Path
@@ -129,8 +129,9 @@ class CheckCommand:
 
 
 def check(command: CheckCommand) -> int:
-    """Check the labels; 1 if a gate failed."""
+    """Check the labels; 1 if a label or the scene failed."""
     from std_toolkit.checks.check_step import report_path, run_check
+    from std_toolkit.checks.judgements import reason_of
     from std_toolkit.scene.scene import Scene
 
     scene = Scene.open(command.scene)
@@ -153,6 +154,9 @@ def check(command: CheckCommand) -> int:
         from std_toolkit.checks.page.inject_report import detectability_table
 
         print(detectability_table(report.detectability).terminal(notes=False))
+    for item in report.objects:
+        if item.is_labelled and item.verdict != "fits":
+            print(f"{item.verdict}: {item.name}: {reason_of(item, report)}")
     print(report.verdict)
     print(f"report: {report_path(scene.root)}")
     return 0 if report.passed else 1
@@ -162,8 +166,9 @@ def check(command: CheckCommand) -> int:
 class ExportCommand:
     """Write every frame with ground truth in the layout of STD, BOP or NOCS.
 
-    The file std_toolkit.json holds what the layout cannot: camera poses, intrinsics, object poses
-    and the source of the metric scale.
+    The file std_toolkit.json holds what the layout cannot: camera poses, intrinsics, object poses,
+    the source of the metric scale and the verdicts on the labels. A scene with a wrong label, or
+    whose check failed, is refused.
     """
 
     scene: Path
@@ -178,6 +183,8 @@ class ExportCommand:
 
 def export(command: ExportCommand) -> int:
     """Export the scene."""
+    import msgspec
+
     from std_toolkit.exporters.export_step import export_scene
     from std_toolkit.scene.scene import Scene
 
@@ -197,6 +204,16 @@ def export(command: ExportCommand) -> int:
         print(f"skipped {len(sidecar.left_out) - len(bad)} frames without ground truth")
     if bad:
         print(f"left out {len(bad)} bad frames: {', '.join(f.name for f in bad)}")
+    if sidecar.left_out_objects:
+        names = ", ".join(x.name for x in sidecar.left_out_objects)
+        print(f"left out {len(sidecar.left_out_objects)} objects whose label does not fit: {names}")
+    if single := sum(len(f.left_out) for f in sidecar.frames):
+        print(f"left out objects of single frames, {single} times (field left_out)")
+    if not isinstance(sidecar.quality, msgspec.UnsetType):
+        gone = {x.object for x in sidecar.left_out_objects}
+        for row in sidecar.quality.labels:
+            if row.grade != "fits" and row.object not in gone:
+                print(f"{row.grade}: {row.name}: {row.reason}")
     if faulty := sum(bool(f.fault or any(o.fault for o in f.objects)) for f in sidecar.frames):
         print(f"{faulty} exported frames have a fault that the check found (field fault)")
     return 0
@@ -207,7 +224,8 @@ class RunCommand:
     """Run poses, propagate --refine, render and check on a scene with labelled objects.
 
     Completed steps and frames are kept, outdated ones are repeated. Run the command again after an
-    interruption. Imported camera poses are kept.
+    interruption. Imported camera poses are kept. The exit status is that of the worst step; see
+    `std-curate check`.
     """
 
     scene: Path
@@ -218,6 +236,7 @@ class RunCommand:
     """correct the scale of the camera poses from the known sizes of the objects"""
     poses: options.PoseBasics = field(default_factory=options.PoseBasics)
     render: options.RenderBasics = field(default_factory=options.RenderBasics)
+    check: options.CheckBasics = field(default_factory=options.CheckBasics)
     jobs: JobOptions = field(default_factory=JobOptions)
 
 
@@ -257,4 +276,5 @@ def _steps(command: RunCommand) -> Iterator[tuple[str, Callable[[], int]]]:
     truth = options.RenderOptions(**vars(command.render))
     rendered = RenderCommand(scene=command.scene, options=truth, jobs=jobs)
     yield "render", partial(render, rendered)
-    yield "check", partial(check, CheckCommand(scene=command.scene, jobs=jobs))
+    limits = options.CheckOptions(**vars(command.check))
+    yield "check", partial(check, CheckCommand(scene=command.scene, options=limits, jobs=jobs))

@@ -98,3 +98,15 @@ class Judgement(Document, frozen=True, kw_only=True):
             mm <= _SAME * (self.deviation_mm or 0.0) + 1e-4
             and deg <= _SAME * (self.deviation_deg or 0.0) + 1e-4
         )
+
+
+def kept_judgement(
+    judgement: Judgement | msgspec.UnsetType, T_obj: SE3 | None
+) -> Judgement | msgspec.UnsetType:
+    """The judgement of a label that now has the pose `T_obj`; UNSET if the pose left it behind.
+
+    Moves add up, because each pose is compared with the one that was measured.
+    """
+    if isinstance(judgement, msgspec.UnsetType) or T_obj is None:
+        return msgspec.UNSET
+    return judgement if judgement.is_current(T_obj, judgement.inputs) else msgspec.UNSET

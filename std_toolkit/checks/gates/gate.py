@@ -132,6 +132,7 @@ class Gate:
         names: whether the detail begins with the names of what fails.
         after: key of the gate below which its row stands; "" for the order of the families.
         optional: whether the row is left out if nothing was measured.
+        scope: "scene" if a failure fails the scene, "label" if it counts by the verdicts.
     """
 
     key: str
@@ -145,6 +146,7 @@ class Gate:
     names: bool = False
     after: str = ""
     optional: bool = False
+    scope: Literal["scene", "label"] = "scene"
 
     def evaluate(self, measured: Measured) -> CheckGate:
         """The row of the report."""
@@ -198,6 +200,7 @@ class Gate:
         return CheckGate(
             key=self.key,
             title=self.title if isinstance(self.title, str) else self.title(options),
+            scope=self.scope,
             value=None if reading.value is None else round(reading.value, 3),
             deviation=reading.deviation,
             limit=round(self.limit_of(options), 4),
@@ -221,6 +224,15 @@ class SceneGate(Gate):
 
     def evaluate(self, measured: Measured) -> CheckGate:
         return self.row(self.measure(measured), measured.options)
+
+
+def accepts(verdict: Verdict, options: CheckOptions) -> str:
+    """Why a label with this verdict does not fail the check, or ""."""
+    if verdict == "unknown" and not options.strict:
+        return "unknown; fails with --strict"
+    if verdict == "doubtful" and options.allow_doubtful:
+        return "allowed by --allow-doubtful"
+    return ""
 
 
 def no_exemption(item: ObjectCheck, measured: Measured) -> str:
@@ -269,8 +281,7 @@ class ObjectGate(Gate):
     Attributes:
         measure: the number of an object; None if it was not measured.
         counts: whether the number of the scene is how many objects are beyond the limit.
-        exempt: why an object cannot fail the scene, or ""; its own verdict stays.
-        accept: why a failure of the scene is accepted, or "".
+        exempt: why an object cannot fail the gate, or ""; beyond the limit it is "unknown".
         verdict: that of an object beyond the limit.
         unmeasured: verdict of an object without a number; None: it depends on the other gates.
         warn_from: value in the unit of the gate from which an object within the limit gets a
@@ -281,12 +292,12 @@ class ObjectGate(Gate):
     measure: Callable[[ObjectCheck, Measured], Reading | None]
     counts: bool = False
     exempt: Callable[[ObjectCheck, Measured], str] = unseen
-    accept: Callable[[CheckOptions], str] | None = None
     verdict: Verdict = "wrong"
     unmeasured: Verdict | None = None
     warn_from: float | None = None
     detail: Callable[[Readings, Measured], str] = object_names
     names: bool = True
+    scope: Literal["scene", "label"] = "label"
 
     def evaluate(self, measured: Measured) -> CheckGate:
         options = measured.options
@@ -306,7 +317,8 @@ class ObjectGate(Gate):
             item, worst = max(counted, key=lambda pair: sign * (pair[1].value or 0.0))
             detail = self.detail([(item, worst)], measured)
             reading = Reading(worst.value, worst.deviation, detail, worst.advice)
-        return self.row(reading, options, self.accept(options) if self.accept else "")
+        accepted = "" if self.scope == "scene" else accepts(self.verdict, options)
+        return self.row(reading, options, accepted)
 
     def finding(self, item: ObjectCheck, measured: Measured) -> GateFinding | None:
         reading = self.measure(item, measured)
@@ -314,11 +326,13 @@ class ObjectGate(Gate):
             if self.unmeasured is None:
                 return None
             return GateFinding(gate=self.key, verdict=self.unmeasured)
+        exempt = self.exempt(item, measured)
+        beyond: Verdict = "unknown" if exempt else self.verdict
         return GateFinding(
             gate=self.key,
             value=round(reading.value, 3),
-            verdict="fits" if self.meets(reading, measured.options) else self.verdict,
-            exempt=self.exempt(item, measured) or reading.excuse,
+            verdict="fits" if self.meets(reading, measured.options) else beyond,
+            exempt=exempt or reading.excuse,
         )
 
     def warnings(self, measured: Measured) -> list[CheckWarning]:

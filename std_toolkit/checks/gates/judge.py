@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from std_toolkit.checks import result
 from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
 from std_toolkit.checks.gates.gate import Gate, Measured
+from std_toolkit.checks.gates.outcome import Outcome
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
@@ -134,11 +135,11 @@ def judge_rows(measured: Measured) -> result.CheckReport:
     objects = [_with_verdict(o, gates, measured) for o in measured.objects]
     found = [(gate, gate.evaluate(measured)) for gate in gates]
     rows = [row for gate, row in found if row.value is not None or not gate.optional]
-    failed = [row for row in rows if row.status == "fail"]
+    outcome = Outcome.of(rows, objects, measured.options)
     return result.CheckReport(
         scene="",
-        passed=not failed,
-        verdict=_verdict(failed, measured.summary),
+        passed=outcome.passed,
+        verdict=outcome.line(),
         summary=measured.summary,
         gates=rows,
         warnings=_find_warnings(gates, rows, measured),
@@ -246,12 +247,3 @@ def _find_warnings(
     names = {item.name for item in measured.objects}
     rest = [w for gate in gates for w in gate.warnings(measured)]
     return failed + sorted(rest, key=lambda w: (_SEVERITY[w.severity], w.about not in names))
-
-
-def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:
-    if failed:
-        count = f"{len(failed)} gate{'s' if len(failed) > 1 else ''}"
-        return f"FAIL: {count}: {', '.join(g.key for g in failed)}"
-    if summary.labelled:
-        return "PASS: labels usable"
-    return "PASS: camera poses usable; there are no labels to check"

@@ -171,10 +171,6 @@ def _unconfirmed(measured: Measured) -> Iterable[CheckWarning]:
             )
 
 
-def _accepted(options: CheckOptions) -> str:
-    return "allowed by --allow-unconfirmed" if options.allow_unconfirmed else ""
-
-
 GATES = (
     ObjectGate(
         key="motion",
@@ -215,11 +211,10 @@ GATES = (
         measure=_confirmed,
         counts=True,
         exempt=unlabelled,
-        accept=_accepted,
         verdict="doubtful",
         detail=all_names,
         advice="inspect their overlays; annotate them in frames that show them clearly, or accept "
-        "them with --allow-unconfirmed",
+        "them with --allow-doubtful",
         warn=_unconfirmed,
     ),
 )
