@@ -16,7 +16,6 @@ from std_toolkit.io.documents import digest_files, digest_of
 from std_toolkit.scene.judgement import Grade, Judgement
 from std_toolkit.scene.scene import Scene
 
-
 # Why nothing is known of a label that has no judgement.
 UNCHECKED = "the label was not checked"
 
