@@ -211,11 +211,13 @@ def test_scene_without_depth(make_scene: MakeScene) -> None:
 
 
 @pytest.mark.slow
-def test_scene_without_labels_fails_and_says_so(make_scene: MakeScene) -> None:
+def test_scene_without_labels_says_so_and_fails_if_strict(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3))
     scene.save_labels(Labels())
     report = check(scene)
-    assert failed(report) == {"labelled"}
+    assert report.passed and "no labels" in report.verdict and not failed(report)
+    strict = check(scene, strict=True)
+    assert failed(strict) == {"labelled"} and strict.verdict == "FAIL: unknown: ball_1, ball_2"
     assert any("Labels" in m for m in report.missing)
     assert {o.verdict for o in report.objects} == {"unknown"}
 
