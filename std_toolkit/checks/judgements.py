@@ -1,7 +1,5 @@
 """The judgement of each label, from the report of the check, and its way into labels.json."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import msgspec

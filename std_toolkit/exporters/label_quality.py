@@ -1,7 +1,5 @@
 """What the check says of the labels of an export: refused, recorded, and told to readers."""
 
-from __future__ import annotations
-
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.exporter import FrameRow, Target

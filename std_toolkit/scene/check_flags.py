@@ -3,8 +3,6 @@
 The exporters need only this part of the report, which they read without the checks.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import msgspec
@@ -17,28 +15,6 @@ from std_toolkit.scene.scene import Scene
 
 # Input of the check's record: the documents and meshes, see `scene_fingerprint`.
 SCENE_INPUT = "labels, poses and meshes"
-
-
-@dataclass(frozen=True)
-class CheckFlags:
-    """Faults that the check found.
-
-    Attributes:
-        frames: fault of a frame by frame id, such as "camera pose" or "unreadable"; frames
-            without a fault are absent.
-        objects: fault of an object in a frame by (frame id, object id).
-        gates: the gates of the scene that failed.
-        labels: keys of the gates that an object fails, by object id.
-        passed: whether the check passed, with its options.
-        verdict: its line.
-    """
-
-    frames: dict[int, str] = field(default_factory=dict)
-    objects: dict[tuple[int, int], str] = field(default_factory=dict)
-    gates: list[FailedGate] = field(default_factory=list)
-    labels: dict[int, list[str]] = field(default_factory=dict)
-    passed: bool = True
-    verdict: str = ""
 
 
 class FailedGate(Document, frozen=True, kw_only=True):
@@ -67,6 +43,28 @@ class FailedGate(Document, frozen=True, kw_only=True):
         value = "unknown" if self.value is None else f"{self.value:.4g}{unit}"
         about = f" ({self.detail})" if self.detail else ""
         return f"{self.key}: {self.title}: {value}{about}, must be {self.rule} {self.limit:g}{unit}"
+
+
+@dataclass(frozen=True)
+class CheckFlags:
+    """Faults that the check found.
+
+    Attributes:
+        frames: fault of a frame by frame id, such as "camera pose" or "unreadable"; frames
+            without a fault are absent.
+        objects: fault of an object in a frame by (frame id, object id).
+        gates: the gates of the scene that failed.
+        labels: keys of the gates that an object fails, by object id.
+        passed: whether the check passed, with its options.
+        verdict: its line.
+    """
+
+    frames: dict[int, str] = field(default_factory=dict)
+    objects: dict[tuple[int, int], str] = field(default_factory=dict)
+    gates: list[FailedGate] = field(default_factory=list)
+    labels: dict[int, list[str]] = field(default_factory=dict)
+    passed: bool = True
+    verdict: str = ""
 
 
 class _Finding(msgspec.Struct):

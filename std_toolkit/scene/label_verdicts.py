@@ -5,8 +5,6 @@ mesh, the frames and the camera poses of that time; otherwise the label is "unkn
 measures it again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -12,7 +12,8 @@ from scene_factory import SERIAL, make_scene
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import ExportOptions, export_scene
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.exr import read_exr
 from std_toolkit.io.images import read_mask
 from std_toolkit.jobs.artefact import Artefact
