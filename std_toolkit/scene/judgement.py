@@ -13,6 +13,7 @@ from std_toolkit.scene.document import (
     Document,
     Pose16,
     Vector3,
+    check_pose,
     pose_from_list,
 )
 
@@ -76,6 +77,8 @@ class Judgement(Document, frozen=True, kw_only=True):
     evidence: list[Evidence] = msgspec.field(default_factory=list)
 
     def check(self) -> None:
+        check_pose(self.T_obj, "T_obj")
+        check_pose(self.T_rival, "T_rival")
         if self.probability is None and self.grade in ("fits", "doubtful"):
             raise ToolkitError(
                 "a verdict needs a measurement", field="probability", value=self.grade
