@@ -145,7 +145,7 @@ def measured(step: str, top: Path, *more: str) -> tuple[float, float, float]:
         ],
         "propagate": [scene],
         "render": [scene, "--renderer", "raycast", *jobs],
-        "check": [scene, "--allow-unconfirmed", *jobs],
+        "check": [scene, *jobs],
         "export": [scene, "--format", "bop", "--out", str(top / "export"), *jobs],
     }[step]  # fmt: skip
     name = "import" if step == "photos" else step

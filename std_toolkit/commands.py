@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from std_toolkit.importers.options import ImportOptions
 from std_toolkit.options import (
+    CheckBasics,
     CheckOptions,
     ExportOptions,
     JobOptions,
@@ -185,8 +186,8 @@ class RenderCommand:
 class CheckCommand:
     """Compare the labels of a scene with its images and depth.
 
-    Writes check/report.html, report.json, report.csv and frames.csv. Exit status 1 if a gate
-    fails.
+    Writes check/report.html, report.json, report.csv and frames.csv, and the verdict on each label
+    into labels.json. Exit status 1 if a label is wrong or doubtful, or a gate of the scene fails.
     """
 
     scene: Path
@@ -201,8 +202,9 @@ class CheckCommand:
 class ExportCommand:
     """Write every frame with ground truth in the layout of STD, BOP or NOCS.
 
-    The file std_toolkit.json holds what the layout cannot: camera poses, intrinsics, object poses
-    and the source of the metric scale.
+    The file std_toolkit.json holds what the layout cannot: camera poses, intrinsics, object poses,
+    the source of the metric scale and the verdicts on the labels. A scene with a wrong label, or
+    whose check failed, is refused.
     """
 
     scene: Path
@@ -220,7 +222,8 @@ class RunCommand:
     """Run poses, propagate --refine, render and check on a scene with labelled objects.
 
     Completed steps and frames are kept, outdated ones are repeated. Run the command again after an
-    interruption. Imported camera poses are kept.
+    interruption. Imported camera poses are kept. The exit status is that of the worst step; see
+    `std-curate check`.
     """
 
     scene: Path
@@ -231,6 +234,7 @@ class RunCommand:
     """correct the scale of the camera poses from the known sizes of the objects"""
     poses: PoseBasics = field(default_factory=PoseBasics)
     render: RenderBasics = field(default_factory=RenderBasics)
+    check: CheckBasics = field(default_factory=CheckBasics)
     jobs: JobOptions = field(default_factory=JobOptions)
 
 

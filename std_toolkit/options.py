@@ -251,7 +251,17 @@ class RenderOptions(RenderBasics):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckOptions:
+class CheckBasics:
+    """Verdicts that fail the check, besides "wrong"; those that `std-curate run` has, too."""
+
+    allow_doubtful: bool = False
+    """pass with doubtful labels, after a person has looked at them"""
+    strict: bool = False
+    """fail for a label of which nothing is known, too"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions(CheckBasics):
     """Gates of the check and how many frames it measures."""
 
     min_registered: Share = 0.9
@@ -282,8 +292,6 @@ class CheckOptions:
     """gate: largest significant rotation between a label and the images"""
     max_size_error: float = 0.025
     """gate: largest significant relative difference in size between a mesh and its object"""
-    allow_unconfirmed: bool = False
-    """pass although the images do not confirm every label"""
     max_label_std_mm: float = 5.0
     """gate: largest standard deviation of a label along its weakest direction"""
     min_edge_support: Share = 0.3
@@ -333,9 +341,14 @@ class ExportOptions:
     quaternion: Literal["dreds", "plain"] = "dreds"
     """STD: rotation in the meta file: dreds (inverse, as the DREDS generator writes it) or plain
     (object to camera)"""
+    allow_wrong: bool = False
+    """export although a label is wrong or a gate of the scene failed; the export says so"""
+    only: Literal["all", "fits"] = "all"
+    """fits: leave out objects whose label is wrong, doubtful or unknown: their pixels become
+    background"""
     drop_bad_frames: bool = False
-    """leave out frames in which the check found a wrong camera pose, shifted depth, an unreadable
-    file, or an object that does not fit; needs a current report of `std-curate check`"""
+    """leave out frames with a wrong camera pose, shifted depth or an unreadable file, and objects
+    in the frames in which they do not fit; needs a current report of `std-curate check`"""
     settings: tuple[str, ...] = field(default=(), metadata={"option": "set"})
     """NAME=VALUE, own settings of an exporter plug-in"""
     overwrite: bool = False

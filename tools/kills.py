@@ -158,6 +158,7 @@ def _scenes(top: Path) -> dict[str, Case]:
             lambda out: program("std-curate", "--quiet", "run", out, *options),
             lambda out: shutil.copytree(labelled, out, dirs_exist_ok=True),  # type: ignore[arg-type, return-value]
             leave_out=(".std/poses/", ".std/work/", ".std/lock"),
+            without=("time",),
         ),
         "bench": Case(
             lambda out: program(

@@ -17,7 +17,15 @@ from annotator.session.state import AnnotationState, Cameras, Click, ObjectState
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.propagate import place_label
-from std_toolkit.scene import Annotation, Label, LabelProvenance, Labels, ObjectTable, Scene
+from std_toolkit.scene import (
+    Annotation,
+    Label,
+    LabelProvenance,
+    Labels,
+    ObjectAnnotation,
+    ObjectTable,
+    Scene,
+)
 from std_toolkit.scene.document import Document
 from std_toolkit.scene.model import annotated_views, pose_from_list, without_derived
 
@@ -52,11 +60,11 @@ class Merged:
 def content(obj: ObjectState | None) -> dict[str, Any]:
     """Return the saved content of an object, in the parts that are merged separately."""
     if obj is None:
-        return {"object": None, "pose": {}, "work": ("open", "", {})}
+        return {"object": None, "pose": {}, "work": ("open", "", {}, msgspec.UNSET)}
     return {
         "object": (obj.name, obj.model, obj.material),
         "pose": {f: p.T_cam_obj for f, p in obj.placements.items()},
-        "work": (obj.status, obj.note, obj.clicks),
+        "work": (obj.status, obj.note, obj.clicks, obj.judgement),
     }
 
 
@@ -145,6 +153,8 @@ def _merged_object(
         placements=pose.placements,
         status=work.status if pose.placements else "open",
         note=work.note,
+        judgement=work.judgement,
+        judged_frame=work.judged_frame,
         clicks=work.clicks,
     )
     return obj, clash, any(side is new for side in sides.values())
@@ -234,6 +244,8 @@ def state_of(scene: Scene, cameras: Cameras, stored: Stored) -> Opened:
                 material=obj.material,
                 status=work.status if placements else "open",
                 note=work.note,
+                judgement=work.judgement,
+                judged_frame=_judged_frame(work, placements),
                 placements=placements,
                 clicks=dict(sorted(clicks.items())),
             )
@@ -243,6 +255,13 @@ def state_of(scene: Scene, cameras: Cameras, stored: Stored) -> Opened:
         objects=sorted(objects, key=lambda o: o.id),
     )
     return Opened(state, tuple(warnings))
+
+
+def _judged_frame(
+    work: ObjectAnnotation, placements: dict[int, Placement]
+) -> int | msgspec.UnsetType:
+    judged = placements and not isinstance(work.judgement, msgspec.UnsetType)
+    return next(iter(placements)) if judged else msgspec.UNSET
 
 
 def _placements(

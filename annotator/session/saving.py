@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from annotator.session.merge import Stored, Version, content
-from annotator.session.state import AnnotationState, ObjectState, Placement, object_table
+from annotator.session.state import (
+    AnnotationState,
+    Cameras,
+    ObjectState,
+    Placement,
+    object_table,
+)
 from std_toolkit import __version__
 from std_toolkit.labels.entry.label import annotated_label
 from std_toolkit.log import collected_warnings
@@ -24,6 +30,7 @@ from std_toolkit.scene import (
     ObjectTable,
     Scene,
 )
+from std_toolkit.scene.judgement import Judgement, kept_judgement
 from std_toolkit.scene.model import ClickedPoint
 
 if TYPE_CHECKING:
@@ -64,12 +71,17 @@ class SaveReport:
         return " ".join([text, *self.warnings])
 
 
-def documents_of(state: AnnotationState, base: Version, hands_on: WorkTimer | None) -> Stored:
+def documents_of(
+    state: AnnotationState, base: Version, hands_on: WorkTimer | None, cameras: Cameras
+) -> Stored:
     """Return the documents of the state; unchanged parts stay as in `base`.
+
+    Judgements whose pose was left behind are dropped.
 
     Args:
         base: the current documents of the scene.
         hands_on: working time since they were last written, or None without manual work.
+        cameras: camera poses of the scene.
     """
     shown = {o.id: o for o in base.state.objects}
     labels, rows = [], []
@@ -79,10 +91,15 @@ def documents_of(state: AnnotationState, base: Version, hands_on: WorkTimer | No
             label = old
         else:
             label = _label(obj, old, hands_on)
+            if label is not None and old is not None:
+                T = cameras.T_world_obj(state, obj.name)
+                kept = kept_judgement(old.judgement, T)
+                label = msgspec.structs.replace(label, judgement=kept)
         labels += [] if label is None else [label]
-        row = _work(obj)
+        row = _work(obj, cameras.judgement(state, obj.name) or msgspec.UNSET)
         known = base.stored.annotation.of(obj.id)
-        if content(obj)["work"] == content(shown.get(obj.id))["work"]:
+        same = content(obj)["work"] == content(shown.get(obj.id))["work"]
+        if same and row.judgement == known.judgement:
             row = known
         if row != ObjectAnnotation(object=obj.id) or known in base.stored.annotation.objects:
             rows.append(row)
@@ -159,11 +176,12 @@ def _provenance(
     )
 
 
-def _work(obj: ObjectState) -> ObjectAnnotation:
+def _work(obj: ObjectState, judgement: Judgement | msgspec.UnsetType) -> ObjectAnnotation:
     return ObjectAnnotation(
         object=obj.id,
         status=obj.status,
         note=obj.note,
+        judgement=judgement,
         clicks=[
             ClickedPoint(frame=frame, u=c.u, v=c.v, point=c.point)
             for frame, clicks in sorted(obj.clicks.items())

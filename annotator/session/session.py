@@ -190,7 +190,10 @@ class Session(Editing):
             taken = self._meet_others(on_conflict)
             base = self._ledger.base
             new = saving.documents_of(
-                self.state, base, self._ledger.hands_on if self._by_hand else None
+                self.state,
+                base,
+                self._ledger.hands_on if self._by_hand else None,
+                self._cameras,
             )
             files = saving.write_documents(self.scene, new)
             warnings = self._note_saved(new)

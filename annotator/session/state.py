@@ -15,6 +15,7 @@ from annotator.session.meshes import MeshLibrary
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Object, ObjectTable, Scene, document
+from std_toolkit.scene.judgement import Judgement, kept_judgement
 from std_toolkit.scene.model import Material, Model
 from std_toolkit.scene.scene import require_metres
 
@@ -77,6 +78,9 @@ class ObjectState(document.Document, frozen=True, kw_only=True):
         clicks: 2D-3D correspondences by frame id.
         status: "done" if the annotator has finished it.
         note: free text, such as what to check.
+        judgement: what was measured of the pose in the frame `judged_frame`, as long as there is
+            such a measurement; `Queries.judgement` says whether it still holds.
+        judged_frame: frame whose camera `judgement.T_obj` refers to.
     """
 
     id: document.ObjectId
@@ -85,6 +89,8 @@ class ObjectState(document.Document, frozen=True, kw_only=True):
     material: Material
     status: Status = "open"
     note: str = ""
+    judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
+    judged_frame: document.Count | msgspec.UnsetType = msgspec.UNSET
     placements: dict[document.Count, Placement] = msgspec.field(default_factory=dict)
     clicks: dict[document.Count, list[Click]] = msgspec.field(default_factory=dict)
 
@@ -172,6 +178,32 @@ class Cameras:
             return None
         return T_world_cam.inverse() @ T_world_obj
 
+    def judgement(self, state: AnnotationState, name: str) -> Judgement | None:
+        """Return what was measured of an object's present pose, in the camera of its first frame.
+
+        Notes, status and nudges keep it while the pose lies within a tenth of its deviation from
+        the one that was measured; nudges add up. None if there is none, or the pose left it behind.
+        """
+        obj = state.object(name)
+        if isinstance(obj.judged_frame, msgspec.UnsetType) or not obj.placements:
+            return None
+        now = self.pose(state, name, obj.judged_frame)
+        judgement = kept_judgement(obj.judgement, now)
+        if isinstance(judgement, msgspec.UnsetType):
+            return None
+        frame = next(iter(obj.placements))
+        if frame == obj.judged_frame:
+            return judgement
+        there = self.pose(state, name, frame)
+        assert there is not None and now is not None
+        T_there_here = there @ now.inverse()
+        moved = {
+            key: (T_there_here @ document.pose_from_list(T)).flat()
+            for key in ("T_obj", "T_rival")
+            if (T := getattr(judgement, key)) is not None
+        }
+        return msgspec.structs.replace(judgement, **moved)
+
     def T_world_obj(self, state: AnnotationState, name: str) -> SE3 | None:
         """Return the world pose of an object; None if not placed in a frame with a camera pose."""
         for frame, placement in state.object(name).placements.items():
@@ -245,6 +277,10 @@ class Queries:
     def pose(self, name: str, frame: int) -> SE3 | None:
         """Return T_cam_obj of an object in a frame; None if it has no pose."""
         return self.cameras.pose(self.state, name, frame)
+
+    def judgement(self, name: str) -> Judgement | None:
+        """Return what was measured of an object's present pose; see `Cameras.judgement`."""
+        return self.cameras.judgement(self.state, name)
 
     def T_world_obj(self, name: str) -> SE3 | None:
         """Return the world pose of an object; None if not placed or without metric camera poses."""

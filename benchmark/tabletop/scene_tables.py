@@ -19,14 +19,14 @@ from sensors.physics import PhysicalObject, convex_parts, settle_from
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.documents import digest_file
+from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.labels.support.plane import TablePlane
 from std_toolkit.labels.support.table import search_table
 from std_toolkit.log import logger
 from std_toolkit.scene.scene import Scene
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
-_DOCUMENTS = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
+_DOCUMENTS = ("scene.json", "frames.json", "objects.json", "poses.json")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +60,9 @@ class SceneTables:
                 if path.is_file():
                     name = path.relative_to(folder).as_posix()
                     found.update(f"{folder.name}/{name} {digest_file(path)}\n".encode())
+            # Without what a check says of them.
+            labels = digest_of(scene.labels.without_judgements(), versioned=False)
+            found.update(f"{folder.name}/labels {labels}\n".encode())
         return found.hexdigest()
 
     def arrange(self, index: int, seed: int, *, parts_cache: Path | None = None) -> Arrangement:

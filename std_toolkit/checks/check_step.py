@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from std_toolkit.checks import result
 from std_toolkit.checks.gates.judge import all_gates, judge_scene
 from std_toolkit.checks.inject.inject import inject_faults
+from std_toolkit.checks.judgements import store_judgements
 from std_toolkit.checks.measure import coverage, object_sizes, residuals
 from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.coverage import spread
@@ -85,8 +86,8 @@ def run_check(
 ) -> result.CheckReport:
     """Check the labels of a scene and write `check/report.html`, `.json`, `.csv`, `frames.csv`.
 
-    A failed gate is reported, not raised. `CheckReport.missing` lists what the scene lacks (poses,
-    labels, depth, ground truth).
+    The judgement of each label is stored with it in labels.json. A failed gate is reported, not
+    raised. `CheckReport.missing` lists what the scene lacks (poses, labels, depth, ground truth).
 
     Args:
         scene: an open scene.
@@ -117,7 +118,9 @@ def run_check(
             limits=("checks.", "labels."),
         )
         if artefact.is_kept():
-            return read_document(scene.root / FOLDER / "report.json", result.CheckReport)
+            report = read_document(scene.root / FOLDER / "report.json", result.CheckReport)
+            store_judgements(scene, report, options)
+            return report
         with ArrayFile(scene.root / ".std") as arrays:
             report, page = _check(scene, frames, fingerprint, options, jobs, arrays)
         outputs = {
@@ -129,6 +132,7 @@ def run_check(
         for name, data in outputs.items():
             write_bytes_atomic(scene.root / FOLDER / name, data)
         artefact.write([scene.root / FOLDER / name for name in outputs])
+        store_judgements(scene, report, options)
     return report
 
 

@@ -17,7 +17,7 @@ Verdict = Literal["fits", "doubtful", "wrong", "unknown"]
 
 Number = float | None
 
-Source = Literal["contour", "depth", "texture", "label", "views"]
+Source = Literal["contour", "depth", "texture", "label", "views", "judge"]
 
 
 class CheckGate(Document, frozen=True, kw_only=True):
@@ -34,10 +34,13 @@ class CheckGate(Document, frozen=True, kw_only=True):
         status: "pass", "fail", or "open" (not measured; does not fail the check).
         detail: source of the value.
         advice: how to fix a failure.
+        scope: "scene" if a failure fails the scene, "label" if it counts by the verdict of an
+            object.
     """
 
     key: str
     title: str
+    scope: Literal["scene", "label"] = "scene"
     value: Number
     deviation: Number = None
     limit: float
@@ -182,6 +185,18 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             largest_step_deg: view directions.
             completeness: fraction of the ground-truth pixels with sensor depth.
             raw_median_mm, raw_mae_mm, raw_rmse_mm: raw minus ground-truth depth.
+            support, label_support: part of the contour on edges, of what chance leaves, at the motion
+            and at the label; the text of the first is "seen", "loose" (other poses are as likely),
+            "aside" (edges nearby fit another pose better), "faint" or "absent".
+            texture_mm: translation and rotation from the label to where the texture agrees with the
+            images.
+            pose_mm, pose_deg: the same by all evidence; the text is the cause: "label", "shape",
+            "texture", "blind" or "".
+            within: probability that the label lies within the limits; its text is the reason of the
+            verdict on the pose.
+            size_m: diagonal of the bounding box of the mesh.
+            overlap_mm: how far the mesh reaches into that of the object in its text.
+            symmetry_mm: how far a declared turn moves the surface of the mesh.
             texture: agreement of the texture at the label, -1..1; its text is "fits", "turned" (a
             turn fits better), "undecided" or "ambiguous" (no texture, and a turn has the same
             silhouette).
@@ -338,7 +353,8 @@ class CheckReport(Document, frozen=True, kw_only=True):
     """check/report.json.
 
     Attributes:
-        passed: whether no gate failed.
+        passed: whether no gate of the scene failed and no label is wrong or doubtful; see
+            `gates.outcome`.
         verdict: one line.
         missing: what the scene lacks, one sentence each.
         limits: the options of the check, and the limits of `--settings` that differ from the

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.scene.check_flags import read_check_flags
+from std_toolkit.scene.label_verdicts import UNCHECKED, LabelVerdict, label_verdicts
 from std_toolkit.scene.scene import Scene
 
 
@@ -21,12 +23,15 @@ class SceneSummary:
         missing_files: scene-relative paths of frames and meshes that do not exist.
         scale: sentence on the unit of the poses; None without poses.
         registered: frames with a camera pose; None without poses.
-        failed_gates: names.
+        failed_gates: names of the gates of the camera poses that failed.
         labelled, propagated, refined: object names.
         ground_truth: frames whose ground truth is complete and up to date.
         stale_ground_truth: frames whose ground truth is older than labels or camera poses.
         report: whether the check report exists.
         stale_report: whether it belongs to other labels, camera poses or meshes.
+        check_passed: whether the check passed; None without a current report.
+        check_gates: sentences on the gates of the scene that the check failed.
+        verdicts: one per labelled object.
         reference: kinds of maps from the import.
         next_command: what to run next, or None if the scene is complete.
     """
@@ -52,6 +57,9 @@ class SceneSummary:
     stale_ground_truth: int
     report: bool
     stale_report: bool
+    check_passed: bool | None
+    check_gates: list[str]
+    verdicts: list[LabelVerdict]
     reference: list[str]
     next_command: str | None
 
@@ -70,13 +78,15 @@ class SceneSummary:
             ("labels", self._labels()),
             ("ground truth", self._ground_truth()),
             ("check", self._report()),
+            *(("FAIL", gate) for gate in self.check_gates),
+            *(("verdict", verdict.line()) for verdict in self.verdicts if self.report),
         ]
         if self.reference:
             rows.append(("reference", f"from the import: {', '.join(self.reference)}"))
         if self.missing_files:
             more = f" and {len(self.missing_files) - 3} more" if len(self.missing_files) > 3 else ""
             rows.append(("MISSING", ", ".join(self.missing_files[:3]) + more))
-        rows.append(("next", self.next_command or "complete; export with `std-curate export`"))
+        rows.append(("next", self.next_command or f"complete; {self._export()}"))
         return [f"{key:<13} {value}" for key, value in rows]
 
     def _poses(self) -> str:
@@ -94,7 +104,14 @@ class SceneSummary:
     def _report(self) -> str:
         if self.stale_report:
             return "report OUTDATED: labels, poses or meshes changed"
-        return "report written" if self.report else "no report"
+        if self.check_passed is None:
+            return "no report"
+        return f"report written, {'passed' if self.check_passed else 'FAILED'}"
+
+    def _export(self) -> str:
+        unknown = [v.name for v in self.verdicts if v.grade == "unknown"]
+        about = f"; nothing is known of the labels of {', '.join(unknown)}" if unknown else ""
+        return f"export with `std-curate export`{about}"
 
     def _labels(self) -> str:
         if not self.objects:
@@ -120,6 +137,7 @@ def summarise(scene: Scene) -> SceneSummary:
     reference = scene.root / "reference"
     report = (scene.root / "check" / "report.html").is_file()
     current, stale = _ground_truth_counts(scene)
+    flags = read_check_flags(scene) if report else None
     found = SceneSummary(
         root=scene.root,
         name=scene.info.name,
@@ -142,6 +160,9 @@ def summarise(scene: Scene) -> SceneSummary:
         stale_ground_truth=stale,
         report=report,
         stale_report=report and not _report_is_current(scene),
+        check_passed=None if flags is None else flags.passed,
+        check_gates=[] if flags is None else [str(gate) for gate in flags.gates],
+        verdicts=label_verdicts(scene),
         reference=sorted(p.name for p in reference.iterdir()) if reference.is_dir() else [],
         next_command=None,
     )
@@ -233,8 +254,16 @@ def _next_command(found: SceneSummary) -> str | None:
         return f"std-curate propagate {scene} --refine"
     if found.stale_ground_truth or found.ground_truth < (found.registered or 0):
         return f"std-curate render {scene}"
-    if not found.report or found.stale_report:
+    if found.check_passed is None or any(v.reason == UNCHECKED for v in found.verdicts):
         return f"std-curate check {scene}"
+    if found.check_gates:
+        return (
+            f"fix the causes of the failed gates (check/report.html), then std-curate run {scene}"
+        )
+    bad = [v for v in found.verdicts if v.grade in ("wrong", "doubtful")]
+    if not found.check_passed or any(v.grade == "wrong" for v in bad):
+        names = f"the labels of {', '.join(v.name for v in bad)}" if bad else "the labels"
+        return f"look at {names} (check/report.html) and correct them, then std-curate run {scene}"
     return None
 
 

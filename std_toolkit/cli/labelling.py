@@ -85,8 +85,9 @@ def render(command: RenderCommand) -> int:
 
 
 def check(command: CheckCommand) -> int:
-    """Check the labels; 1 if a gate failed."""
+    """Check the labels; 1 if a label or the scene failed."""
     from std_toolkit.checks.check_step import report_path, run_check
+    from std_toolkit.checks.judgements import reason_of
     from std_toolkit.scene.scene import Scene
 
     scene = Scene.open(command.scene)
@@ -109,6 +110,9 @@ def check(command: CheckCommand) -> int:
         from std_toolkit.checks.page.inject_report import detectability_table
 
         print(detectability_table(report.detectability).terminal(notes=False))
+    for item in report.objects:
+        if item.is_labelled and item.verdict != "fits":
+            print(f"{item.verdict}: {item.name}: {reason_of(item, report)}")
     print(report.verdict)
     print(f"report: {report_path(scene.root)}")
     return 0 if report.passed else 1
@@ -116,6 +120,8 @@ def check(command: CheckCommand) -> int:
 
 def export(command: ExportCommand) -> int:
     """Export the scene."""
+    import msgspec
+
     from std_toolkit.exporters.export_step import export_scene
     from std_toolkit.scene.scene import Scene
 
@@ -135,6 +141,16 @@ def export(command: ExportCommand) -> int:
         print(f"skipped {len(sidecar.left_out) - len(bad)} frames without ground truth")
     if bad:
         print(f"left out {len(bad)} bad frames: {', '.join(f.name for f in bad)}")
+    if sidecar.left_out_objects:
+        names = ", ".join(x.name for x in sidecar.left_out_objects)
+        print(f"left out {len(sidecar.left_out_objects)} objects whose label does not fit: {names}")
+    if single := sum(len(f.left_out) for f in sidecar.frames):
+        print(f"left out objects of single frames, {single} times (field left_out)")
+    if not isinstance(sidecar.quality, msgspec.UnsetType):
+        gone = {x.object for x in sidecar.left_out_objects}
+        for row in sidecar.quality.labels:
+            if row.grade != "fits" and row.object not in gone:
+                print(f"{row.grade}: {row.name}: {row.reason}")
     if faulty := sum(bool(f.fault or any(o.fault for o in f.objects)) for f in sidecar.frames):
         print(f"{faulty} exported frames have a fault that the check found (field fault)")
     return 0
@@ -176,4 +192,5 @@ def _steps(command: RunCommand) -> Iterator[tuple[str, Callable[[], int]]]:
     truth = options.RenderOptions(**vars(command.render))
     rendered = RenderCommand(scene=command.scene, options=truth, jobs=jobs)
     yield "render", partial(render, rendered)
-    yield "check", partial(check, CheckCommand(scene=command.scene, jobs=jobs))
+    limits = options.CheckOptions(**vars(command.check))
+    yield "check", partial(check, CheckCommand(scene=command.scene, options=limits, jobs=jobs))

@@ -100,7 +100,7 @@ class BopExporter:
         """Colour, depth, both masks of every object, and the frame's rows of the documents."""
         scene = target.scene
         camera = color_camera(scene, frame)
-        maps = frame_maps(scene, frame, camera)
+        maps = frame_maps(scene, frame, camera, target.left_out(frame.id))
         stem = f"{frame.id:06d}"
         folder = target.root / self.folder(target)
         outputs = [f"rgb/{stem}.png"]

@@ -3,8 +3,11 @@
 import json
 from typing import Any
 
+import msgspec
+
 from std_toolkit import __version__
 from std_toolkit.exporters.exporter import FrameRow, Target
+from std_toolkit.exporters.label_quality import quality_lines
 from std_toolkit.scene.sidecar import ExportedModel
 
 # An instance counts as a target of the BOP Challenge from this visible fraction on.
@@ -153,6 +156,7 @@ def dataset_info(target: Target, rows: list[FrameRow], models: list[ExportedMode
         else {"chosen": poses.scale.chosen, "unit": poses.scale.unit},
         "depth_correction": scene.info.depth_correction,
         "pixel_centres": "integer",
+        "labels": msgspec.to_builtins(target.quality),
     }
     return (json.dumps(document, indent=2, sort_keys=True) + "\n").encode()
 
@@ -186,6 +190,7 @@ def dataset_text(target: Target, rows: list[FrameRow], models: list[ExportedMode
         materials = sorted({o.material for o in scene.objects.objects if o.model == m.model})
         category = scene.objects.model(m.model).category
         lines.append(f"| {m.layout_id} | {m.model} | {category} | {', '.join(materials)} |")
+    lines += ["", *quality_lines(target)]
     return ("\n".join(lines) + "\n").encode()
 
 

@@ -9,8 +9,16 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.exporters.exporter import Exporter, FrameRow, Target, get_exporter
+from std_toolkit.exporters.exporter import (
+    Exporter,
+    FrameRow,
+    Target,
+    faulty_objects,
+    get_exporter,
+    left_out_objects,
+)
 from std_toolkit.exporters.frame_maps import check_fresh, color_camera
+from std_toolkit.exporters.label_quality import label_quality, refuse_wrong
 from std_toolkit.exporters.staging import (
     Progress,
     drop_strangers,
@@ -60,8 +68,8 @@ def export_scene(
         The sidecar, which describes what was exported.
 
     Raises:
-        ToolkitError: there is no ground truth or it is outdated, the layout cannot represent the
-            scene, a frame failed, or `out` has other content.
+        ToolkitError: there is no ground truth or it is outdated, a label is wrong, the layout
+            cannot represent the scene, a frame failed, or `out` has other content.
     """
     options = options or ExportOptions()
     out = Path(out)
@@ -69,6 +77,7 @@ def export_scene(
         raise ToolkitError("an export cannot be inside its scene", path=out, field="--out")
     exporter = get_exporter(format_name, options.settings)
     target = plan(scene, out, options)
+    refuse_wrong(target)
     exporter.check(target)
     documents = _documents_digest(scene)
     frames = {f.id: _frame_artefact(target, f, format_name, documents) for f in target.frames}
@@ -106,7 +115,8 @@ def plan(scene: Scene, root: Path, options: ExportOptions) -> Target:
     """Frames, objects and models of an export.
 
     Raises:
-        ToolkitError: no ground truth, or it is older than the labels.
+        ToolkitError: no ground truth, or it is older than the labels; or no label fits and `only`
+            asks for those that do.
     """
     rendered = set(rendered_frames(scene))
     frames = tuple(f for f in scene.frames if f.id in rendered)
@@ -124,24 +134,47 @@ def plan(scene: Scene, root: Path, options: ExportOptions) -> Target:
             "nothing to export: the check found a fault in every frame",
             path=scene.root / "check" / "report.json",
             field="--drop-bad-frames",
-            hint="fix the labels that the report names, or export without the option",
+            hint="fix what the report names, or export without the option",
         )
+    quality = label_quality(scene, flags)
+    without: dict[int, str] = {}
+    if options.only == "fits":
+        bad = [x for x in quality.labels if x.grade != "fits"]
+        without = {x.object: f"{x.grade}: {x.reason}" for x in bad}
     seen: set[int] = set()
     for frame in frames:
         truth = read_frame_truth(scene, frame.id)
         check_fresh(scene, truth)
-        seen.update(row.object for row in truth.objects)
+        faulty = faulty_objects(frame.id, flags, options)
+        seen.update({row.object for row in truth.objects} - {*without, *faulty})
+    if not seen:
+        raise ToolkitError(
+            "nothing to export: no object is left",
+            path=scene.root,
+            field="--only" if without else "--drop-bad-frames",
+            hint="run `std-curate check` and fix the labels that it names, or export without the "
+            "option",
+        )
     used = {scene.objects.object(i).model for i in seen}
     models = tuple(m.id for m in scene.objects.models if m.id in used)
     return Target(
-        scene, root, options, frames, tuple(sorted(seen)), models, flags=flags, dropped=dropped
+        scene,
+        root,
+        options,
+        frames,
+        tuple(sorted(seen)),
+        models,
+        flags=flags,
+        dropped=dropped,
+        quality=quality,
+        without=without,
     )
 
 
 def _dropped(
     scene: Scene, frames: Sequence[model.Frame], flags: CheckFlags | None
 ) -> dict[int, str]:
-    """The frames with a fault, and the fault.
+    """The frames with a fault of their own, and the fault.
 
     Raises:
         ToolkitError: there is no report of the check, or it is outdated.
@@ -153,7 +186,7 @@ def _dropped(
             field="--drop-bad-frames",
             hint="run `std-curate check` first",
         )
-    return {f.id: f"check: {why}" for f in frames if (why := flags.of_frame(f.id))}
+    return {f.id: f"check: {why}" for f in frames if (why := flags.frames.get(f.id))}
 
 
 def _export_frame(
@@ -227,6 +260,8 @@ def _close(
         poses=_poses(scene, exported),
         visibility=list(policies.values()),
         quaternion=exporter.quaternion(target),
+        left_out_objects=left_out_objects(scene, target.without),
+        quality=target.quality,
         files=file_digests(staging),
     )
     write_document(staging / SIDECAR_NAME, sidecar)
@@ -276,7 +311,12 @@ def _labels(target: Target, rows: list[FrameRow]) -> model.Labels:
             shown = (f for f, objects in poses.items() if label.object in objects)
             frame = min(map(int, views)) if views else next(shown)
             T_cam_obj = views.pop(str(frame), poses[frame][label.object])
-        kept.append(msgspec.structs.replace(label, frame=frame, T_cam_obj=T_cam_obj, views=views))
+        # `Sidecar.quality` says what is known of the label now.
+        kept.append(
+            msgspec.structs.replace(
+                label, frame=frame, T_cam_obj=T_cam_obj, views=views, judgement=msgspec.UNSET
+            )
+        )
     return model.Labels(labels=kept)
 
 
@@ -294,8 +334,9 @@ def _poses(scene: Scene, exported: set[int]) -> model.CameraPoses | None:
 
 
 def _documents_digest(scene: Scene) -> str:
-    names = ("scene.json", "frames.json", "objects.json", "poses.json", "labels.json")
-    return digest_of(digest_files(scene.root, [scene.root / name for name in names]))
+    names = ("scene.json", "frames.json", "objects.json", "poses.json")
+    files = digest_files(scene.root, [scene.root / name for name in names])
+    return digest_of(files, scene.labels.without_judgements())
 
 
 def _frame_artefact(
@@ -309,7 +350,8 @@ def _frame_artefact(
         objects = [[i, why] for (of, i), why in flags.objects.items() if of == frame.id]
         faults = [flags.frames.get(frame.id, ""), objects]
     inputs = digest_files(scene.root, files)
-    inputs |= {"documents": documents, "faults": digest_of(faults)}
+    left_out = sorted(target.left_out(frame.id))
+    inputs |= {"documents": documents, "faults": digest_of(faults, left_out)}
     used = {"objects": target.object_ids, "models": target.model_ids}
     options = _options(target, format_name) | used
     return Artefact(target.root, f"exported frame {frame.id}", inputs, options)
@@ -323,6 +365,8 @@ def _export_digest(target: Target, format_name: str, frames: dict[int, Artefact]
         [frame.digest for frame in frames.values()],
         digest_files(scene.root, meshes),
         sorted(target.dropped.items()),
+        sorted(target.without.items()),
+        target.quality,
     )
 
 

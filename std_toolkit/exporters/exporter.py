@@ -17,7 +17,13 @@ from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.check_flags import CheckFlags
 from std_toolkit.scene.model import Frame
 from std_toolkit.scene.scene import Scene
-from std_toolkit.scene.sidecar import ExportedFrame, ExportedModel, ExportedObject
+from std_toolkit.scene.sidecar import (
+    ExportedFrame,
+    ExportedModel,
+    ExportedObject,
+    LeftOutObject,
+    Quality,
+)
 
 FAULTS_NAME = "label_faults.json"
 
@@ -34,6 +40,8 @@ class Target:
         model_ids: models of those objects, in the order of objects.json.
         flags: faults that the last check found; None without a current report.
         dropped: reason by id of the frames that are left out because of a fault.
+        quality: verdicts on the labels of the scene.
+        without: reason by id of the objects that are left out of all frames.
     """
 
     scene: Scene
@@ -44,6 +52,14 @@ class Target:
     model_ids: tuple[str, ...]
     flags: CheckFlags | None = None
     dropped: Mapping[int, str] = field(default_factory=dict)
+    quality: Quality = field(
+        default_factory=lambda: Quality(checked=False, failed_gates=[], labels=[])
+    )
+    without: Mapping[int, str] = field(default_factory=dict)
+
+    def left_out(self, frame_id: int) -> dict[int, str]:
+        """Reason by id of the objects that are left out of a frame; see `frame_maps`."""
+        return {**faulty_objects(frame_id, self.flags, self.options), **self.without}
 
     def rank(self, object_id: int) -> int:
         """1-based position of an object among the exported ones: its id in dense layouts."""
@@ -56,6 +72,15 @@ class Target:
     def object_fault(self, frame_id: int, object_id: int) -> str | None:
         """Why a label does not fit in a frame, "" if it does; None without a current check."""
         return None if self.flags is None else self.flags.objects.get((frame_id, object_id), "")
+
+
+def faulty_objects(
+    frame_id: int, flags: CheckFlags | None, options: ExportOptions
+) -> dict[int, str]:
+    """Fault by id of the objects that `drop_bad_frames` leaves out of a frame."""
+    if flags is None or not options.drop_bad_frames:
+        return {}
+    return {i: f"check: {why}" for (f, i), why in flags.objects.items() if f == frame_id}
 
 
 class FrameRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -177,7 +202,18 @@ def exported_frame(
             for row in truth.objects
         ],
         fault=None if target.flags is None else target.flags.frames.get(frame.id, ""),
+        left_out=left_out_objects(
+            target.scene, faulty_objects(frame.id, target.flags, target.options)
+        ),
     )
+
+
+def left_out_objects(scene: Scene, reasons: Mapping[int, str]) -> list[LeftOutObject]:
+    """The sidecar's entries of objects that are left out, by their ids."""
+    return [
+        LeftOutObject(object=i, name=scene.objects.object(i).name, reason=why)
+        for i, why in sorted(reasons.items())
+    ]
 
 
 def write_faults(target: Target, folder: str, rows: list[FrameRow]) -> list[str]:

@@ -7,7 +7,8 @@ is rendered again: resampling the maps would shift depth and NOCS by up to half 
 "fused") is then copied from the ground truth, to its pixel.
 """
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import cv2
 import msgspec
@@ -77,8 +78,16 @@ def check_fresh(scene: Scene, truth: ground_truth.FrameTruth) -> None:
         )
 
 
-def frame_maps(scene: Scene, frame: Frame, camera: Camera) -> FrameMaps:
+def frame_maps(
+    scene: Scene, frame: Frame, camera: Camera, without: Collection[int] = ()
+) -> FrameMaps:
     """Ground truth of a frame in `camera`, a pinhole over the same field of view.
+
+    Args:
+        scene, frame: what is exported.
+        camera: of the labels.
+        without: ids of the objects whose pixels become background (`Target.left_out`); their rows
+            are absent.
 
     Raises:
         ToolkitError: the frame was not rendered, or its ground truth is stale or damaged.
@@ -86,8 +95,23 @@ def frame_maps(scene: Scene, frame: Frame, camera: Camera) -> FrameMaps:
     found = ground_truth.read_ground_truth(scene, frame.id)
     check_fresh(scene, found.info)
     if camera == scene.camera(frame):
-        return FrameMaps(found.info, found.depth, found.mask, found.nocs)
-    return _rendered(scene, frame, camera, found)
+        maps = FrameMaps(found.info, found.depth, found.mask, found.nocs)
+    else:
+        maps = _rendered(scene, frame, camera, found)
+    return _cleared(maps, without) if without else maps
+
+
+def _cleared(found: FrameMaps, without: Collection[int]) -> FrameMaps:
+    """The maps with background in place of some objects."""
+    gone = np.isin(found.mask, list(without))
+    rows = [row for row in found.truth.objects if row.object not in without]
+    return replace(
+        found,
+        truth=msgspec.structs.replace(found.truth, objects=rows),
+        depth=np.where(gone, np.float32(0), found.depth),
+        mask=np.where(gone, np.uint8(0), found.mask),
+        nocs=np.where(gone[..., None], np.float32(0), found.nocs),
+    )
 
 
 def _rendered(

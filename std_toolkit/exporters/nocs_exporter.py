@@ -16,6 +16,7 @@ from std_toolkit.exporters.frame_maps import (
     read_color,
     read_sensor_depth,
 )
+from std_toolkit.exporters.label_quality import write_card
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.mesh import mesh_extents, nocs_frame
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -81,7 +82,7 @@ class NocsExporter:
         """The five files of a frame."""
         scene = target.scene
         camera = color_camera(scene, frame)
-        maps = frame_maps(scene, frame, camera)
+        maps = frame_maps(scene, frame, camera, target.left_out(frame.id))
         stem = f"{frame.id:04d}"
         folder = target.root / self.folder(target)
         mask_ids = {i: target.rank(i) for i in target.object_ids}
@@ -109,8 +110,11 @@ class NocsExporter:
         rows: list[exporter.FrameRow],
         models: list[ExportedModel],  # noqa: ARG002 - part of the protocol
     ) -> list[str]:
-        """Write the faults that the check found; the layout has no documents over all frames."""
-        return exporter.write_faults(target, self.folder(target), rows)
+        """Write what the check found; the layout has no documents over all frames."""
+        return [
+            *exporter.write_faults(target, self.folder(target), rows),
+            *write_card(target, rows),
+        ]
 
     def _meta(self, target: exporter.Target) -> str:
         lines = []

@@ -17,6 +17,7 @@ from std_toolkit.exporters.frame_maps import (
     read_color,
     read_sensor_depth,
 )
+from std_toolkit.exporters.label_quality import write_card
 from std_toolkit.exporters.mesh_export import obj_files, transformed, write_files
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import mesh_bounds, nocs_frame
@@ -114,7 +115,7 @@ class StdExporter:
         scene = target.scene
         camera = color_camera(scene, frame)
         labels = self.label_camera(target, camera)
-        maps = frame_maps(scene, frame, labels)
+        maps = frame_maps(scene, frame, labels, target.left_out(frame.id))
         stem = f"{frame.id:04d}"
         folder = target.root / self.folder(target)
         prefix = f"{self.folder(target)}/{stem}"
@@ -145,7 +146,7 @@ class StdExporter:
         rows: list[FrameRow],
         models: list[ExportedModel],  # noqa: ARG002 - part of the protocol
     ) -> list[str]:
-        """Write the faults that the check found; the layout has no documents over all frames."""
+        """Write what the check found; the layout has no documents over all frames."""
         without = [f.name for f in target.scene.frames if f.depth is None]
         if without:
             logger.warning(
@@ -153,7 +154,7 @@ class StdExporter:
                 "0 (not measured) in every pixel",
                 target.scene.root, len(without), len(target.scene.frames),
             )  # fmt: skip
-        return write_faults(target, self.folder(target), rows)
+        return [*write_faults(target, self.folder(target), rows), *write_card(target, rows)]
 
     def _meta(self, target: Target, truth: FrameTruth, mask_ids: dict[int, int]) -> str:
         lines = []

@@ -25,7 +25,14 @@ from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.options import PropagateOptions
-from std_toolkit.scene.model import Label, Labels, annotated_views, without_derived
+from std_toolkit.scene.judgement import kept_judgement
+from std_toolkit.scene.model import (
+    Label,
+    Labels,
+    annotated_views,
+    pose_from_list,
+    without_derived,
+)
 from std_toolkit.scene.scene import Scene, require_metres
 
 if TYPE_CHECKING:
@@ -42,8 +49,8 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
     `Scene.T_cam_obj` derives the poses in frames from it and is None for a frame that is not
     registered. An object annotated in several registered frames gets the pose that agrees best
     with all of them, in pixels. With `refine` the poses are refined with the images (see
-    `labels.refine`). Writes labels.json while holding the scene's lock. If the inputs did not
-    change, the step is skipped.
+    `labels.refine`). A label that hardly moved keeps its judgement. Writes labels.json while
+    holding the scene's lock. If the inputs did not change, the step is skipped.
 
     Raises:
         ToolkitError: no camera poses, poses of unknown unit, no labels, an unknown object, or no
@@ -73,13 +80,20 @@ def propagate_labels(scene: Scene, options: PropagateOptions | None = None) -> L
         scale: AbstractContextManager[None] = nullcontext()
         if options.refine:
             placed, scale = _refine(scene, placed, options)
-        labels = Labels(labels=[placed.get(x.object, x) for x in scene.labels.labels])
+        labels = Labels(labels=[_judged(placed, x) for x in scene.labels.labels])
         with scale:
             scene.save_labels(labels)
             # The camera poses may have a new scale; the files are those that were read.
             made = _artefact(scene, chosen, options, files)
-            made.write([scene.root / "labels.json"])
+            made.write([])
     return labels
+
+
+def _judged(placed: dict[int, Label], before: Label) -> Label:
+    """The label as it is now, with what the check said of it if it hardly moved."""
+    label = placed.get(before.object, before)
+    T = None if label.T_world_obj is None else pose_from_list(label.T_world_obj)
+    return msgspec.structs.replace(label, judgement=kept_judgement(before.judgement, T))
 
 
 def _refine(
@@ -188,6 +202,8 @@ def _artefact(
 ) -> Artefact:
     inputs = files | {
         "annotations": digest_of([without_derived(x) for x in chosen]),
+        # The result, instead of the file: a check writes its judgements there.
+        "labels": digest_of(scene.labels.without_judgements()),
         "objects": digest_of(scene.objects),
         "cameras": digest_of(scene.info, scene.frame_table),
         "camera poses": digest_of(scene.poses),

@@ -1,4 +1,4 @@
-"""Frames and objects that the last check found bad, from check/report.json.
+"""Gates, frames and objects that the last check found bad, from check/report.json.
 
 The exporters need only this part of the report, which they read without the checks.
 """
@@ -10,10 +10,39 @@ import msgspec
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import digest_files, digest_of
 from std_toolkit.jobs.artefact import Record, read_record, record_path
+from std_toolkit.scene.document import Document
 from std_toolkit.scene.scene import Scene
 
 # Input of the check's record: the documents and meshes, see `scene_fingerprint`.
 SCENE_INPUT = "labels, poses and meshes"
+
+
+class FailedGate(Document, frozen=True, kw_only=True):
+    """A gate of the scene that failed.
+
+    Attributes:
+        key: stable name, such as "alignment".
+        title: what is measured, in words.
+        value, limit: in `unit`.
+        rule: "at least" or "at most" the limit.
+        detail: source of the value.
+        advice: how to fix it.
+    """
+
+    key: str
+    title: str
+    value: float | None
+    limit: float
+    rule: str
+    unit: str = ""
+    detail: str = ""
+    advice: str = ""
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        value = "unknown" if self.value is None else f"{self.value:.4g}{unit}"
+        about = f" ({self.detail})" if self.detail else ""
+        return f"{self.key}: {self.title}: {value}{about}, must be {self.rule} {self.limit:g}{unit}"
 
 
 @dataclass(frozen=True)
@@ -24,15 +53,23 @@ class CheckFlags:
         frames: fault of a frame by frame id, such as "camera pose" or "unreadable"; frames
             without a fault are absent.
         objects: fault of an object in a frame by (frame id, object id).
+        gates: the gates of the scene that failed.
+        labels: keys of the gates that an object fails, by object id.
+        passed: whether the check passed, with its options.
+        verdict: its line.
     """
 
     frames: dict[int, str] = field(default_factory=dict)
     objects: dict[tuple[int, int], str] = field(default_factory=dict)
+    gates: list[FailedGate] = field(default_factory=list)
+    labels: dict[int, list[str]] = field(default_factory=dict)
+    passed: bool = True
+    verdict: str = ""
 
-    def of_frame(self, frame: int) -> str:
-        """All faults of a frame and the objects in it; "" without any."""
-        objects = [f"object {i}: {why}" for (f, i), why in self.objects.items() if f == frame]
-        return "; ".join([*([self.frames[frame]] if frame in self.frames else []), *objects])
+
+class _Finding(msgspec.Struct):
+    gate: str
+    verdict: str
 
 
 class _ObjectFrame(msgspec.Struct):
@@ -43,6 +80,7 @@ class _ObjectFrame(msgspec.Struct):
 class _Object(msgspec.Struct):
     object: int
     frames: list[_ObjectFrame] = []
+    gates: list[_Finding] = []
 
 
 class _Frame(msgspec.Struct):
@@ -51,16 +89,37 @@ class _Frame(msgspec.Struct):
     fault: str = ""
 
 
+class _Gate(msgspec.Struct):
+    key: str
+    title: str
+    value: float | None
+    limit: float
+    rule: str
+    status: str
+    scope: str = "scene"
+    unit: str = ""
+    detail: str = ""
+    advice: str = ""
+
+
 class _Report(msgspec.Struct):
     objects: list[_Object]
     frames: list[_Frame]
+    gates: list[_Gate] = []
+    passed: bool = True
+    verdict: str = ""
 
 
 def scene_fingerprint(scene: Scene) -> str:
     """Digest of the documents and meshes, on which the check of every frame depends."""
     meshes = digest_files(scene.root, [scene.mesh_path(m) for m in scene.objects.models])
     return digest_of(
-        scene.info, scene.frame_table, scene.objects, scene.poses, scene.labels, meshes
+        scene.info,
+        scene.frame_table,
+        scene.objects,
+        scene.poses,
+        scene.labels.without_judgements(),
+        meshes,
     )
 
 
@@ -92,4 +151,15 @@ def read_check_flags(scene: Scene) -> CheckFlags | None:
         for row in item.frames
         if row.fault
     }
-    return CheckFlags(frames, dict(sorted(objects.items())))
+    gates = [
+        FailedGate(**{f: getattr(g, f) for f in FailedGate.__struct_fields__})
+        for g in report.gates
+        if g.status == "fail" and g.scope == "scene"
+    ]
+    labels = {
+        item.object: [f.gate for f in item.gates if f.verdict in ("wrong", "doubtful")]
+        for item in report.objects
+    }
+    return CheckFlags(
+        frames, dict(sorted(objects.items())), gates, labels, report.passed, report.verdict
+    )

@@ -13,6 +13,7 @@ from std_toolkit.scene.document import (
     Document,
     Pose16,
     Vector3,
+    check_pose,
     pose_from_list,
 )
 
@@ -76,6 +77,8 @@ class Judgement(Document, frozen=True, kw_only=True):
     evidence: list[Evidence] = msgspec.field(default_factory=list)
 
     def check(self) -> None:
+        check_pose(self.T_obj, "T_obj")
+        check_pose(self.T_rival, "T_rival")
         if self.probability is None and self.grade in ("fits", "doubtful"):
             raise ToolkitError(
                 "a verdict needs a measurement", field="probability", value=self.grade
@@ -96,3 +99,15 @@ class Judgement(Document, frozen=True, kw_only=True):
             mm <= _SAME * (self.deviation_mm or 0.0) + 1e-4
             and deg <= _SAME * (self.deviation_deg or 0.0) + 1e-4
         )
+
+
+def kept_judgement(
+    judgement: Judgement | msgspec.UnsetType, T_obj: SE3 | None
+) -> Judgement | msgspec.UnsetType:
+    """The judgement of a label that now has the pose `T_obj`; UNSET if the pose left it behind.
+
+    Moves add up, because each pose is compared with the one that was measured.
+    """
+    if isinstance(judgement, msgspec.UnsetType) or T_obj is None:
+        return msgspec.UNSET
+    return judgement if judgement.is_current(T_obj, judgement.inputs) else msgspec.UNSET

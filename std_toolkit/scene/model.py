@@ -30,6 +30,7 @@ from std_toolkit.scene.document import (
     find_row,
     pose_from_list,
 )
+from std_toolkit.scene.judgement import Judgement
 from std_toolkit.scene.pose_model import (
     Annotation,
     CameraModel,
@@ -287,6 +288,7 @@ class Label(Document, frozen=True, kw_only=True):
         annotator: name of the annotator.
         views: poses of the same object annotated in further frames, by frame id.
         provenance: time, tool and refinement of the pose; absent if not recorded.
+        judgement: what the check says of `T_world_obj`; absent if it was not measured.
     """
 
     object: ObjectId
@@ -300,6 +302,7 @@ class Label(Document, frozen=True, kw_only=True):
     annotator: str = ""
     views: dict[str, Pose16] = msgspec.field(default_factory=dict)
     provenance: LabelProvenance | msgspec.UnsetType = msgspec.UNSET
+    judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
 
     def check(self) -> None:
         check_pose(self.T_cam_obj, "T_cam_obj")
@@ -326,6 +329,11 @@ class Labels(Document, frozen=True, kw_only=True):
         others = [x for x in self.labels if x.object != label.object]
         return Labels(labels=sorted([*others, label], key=lambda x: x.object))
 
+    def without_judgements(self) -> Labels:
+        """Return a copy for digests: what was measured of a label does not change the label."""
+        bare = [msgspec.structs.replace(x, judgement=msgspec.UNSET) for x in self.labels]
+        return Labels(labels=bare)
+
 
 def annotated_views(label: Label) -> dict[int, SE3]:
     """Return T_cam_obj by frame id of all annotated frames, beginning with `label.frame`."""
@@ -336,7 +344,12 @@ def annotated_views(label: Label) -> dict[int, SE3]:
 
 
 def without_derived(label: Label) -> Label:
-    """Return the label as annotated, without the results of propagation and refinement."""
+    """Return the label as annotated, without the results of propagation, refinement and check."""
     return msgspec.structs.replace(
-        label, T_world_obj=None, refined=False, covariance=None, weak_direction=""
+        label,
+        T_world_obj=None,
+        refined=False,
+        covariance=None,
+        weak_direction="",
+        judgement=msgspec.UNSET,
     )

@@ -16,6 +16,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.camera_models import lens_of
 from std_toolkit.scene import document
+from std_toolkit.scene.judgement import Judgement
 from std_toolkit.scene.scale_model import ScaleEstimate, ScaleReport
 
 __all__ = [
@@ -206,12 +207,15 @@ class ObjectAnnotation(document.Document, frozen=True, kw_only=True):
         status: "done" if the annotator accepted the pose.
         note: free text, such as what to check again.
         clicks: clicked points per frame in the order in which they were made.
+        judgement: what the annotation tool says of the pose in the annotated frame; absent if it
+            was not measured.
     """
 
     object: document.ObjectId
     status: Literal["open", "done"] = "open"
     note: str = ""
     clicks: list[ClickedPoint] = msgspec.field(default_factory=list)
+    judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
 
 
 class Annotation(document.Document, frozen=True, kw_only=True):

@@ -8,8 +8,12 @@ it, so that an export can be converted back to a scene.
 from pathlib import Path
 from typing import Literal
 
+import msgspec
+
 from std_toolkit.io.documents import read_document
+from std_toolkit.scene.check_flags import FailedGate
 from std_toolkit.scene.document import check_relative
+from std_toolkit.scene.judgement import Grade
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,
@@ -45,6 +49,17 @@ class ExportedObject(Document, frozen=True, kw_only=True):
     fault: str | None = None
 
 
+class LeftOutObject(Document, frozen=True, kw_only=True):
+    """An object that was not exported, in all frames or in one, and the reason.
+
+    Its pixels are background; what it hides is hidden still.
+    """
+
+    object: ObjectId
+    name: str
+    reason: str
+
+
 class ExportedFrame(Document, frozen=True, kw_only=True):
     """One frame of the export.
 
@@ -55,6 +70,7 @@ class ExportedFrame(Document, frozen=True, kw_only=True):
         sensor_depth: false if the depth file of the layout is a placeholder of zeros.
         objects: the objects in the frame.
         fault: what is wrong with the frame, "" if nothing is, null without a current check.
+        left_out: objects that are left out of this frame only.
     """
 
     id: int
@@ -66,6 +82,7 @@ class ExportedFrame(Document, frozen=True, kw_only=True):
     sensor_depth: bool
     objects: list[ExportedObject]
     fault: str | None = None
+    left_out: list[LeftOutObject] = msgspec.field(default_factory=list)
 
 
 class LeftOut(Document, frozen=True, kw_only=True):
@@ -112,6 +129,43 @@ class Visibility(Document, frozen=True, kw_only=True):
     pixel_centres: Literal["integer"] = "integer"
 
 
+class LabelQuality(Document, frozen=True, kw_only=True):
+    """The verdict of the check on one label of the scene.
+
+    Attributes:
+        object, name: as in objects.json.
+        grade: "unknown" also for a label that was not checked, or changed since.
+        probability: that the pose lies within the limits of the check; null if it is not known.
+        deviation_mm, deviation_deg: standard deviation of the measured pose along its weakest
+            direction; null if it is not known.
+        reason: one sentence.
+        failed_gates: keys of the gates that the label fails.
+    """
+
+    object: ObjectId
+    name: str
+    grade: Grade
+    probability: float | None
+    deviation_mm: float | None
+    deviation_deg: float | None
+    reason: str
+    failed_gates: list[str]
+
+
+class Quality(Document, frozen=True, kw_only=True):
+    """What the check says of the scene at the time of the export.
+
+    Attributes:
+        checked: whether there was a report of the present labels, camera poses and meshes.
+        failed_gates: gates of the scene that failed.
+        labels: one row per labelled object of the scene, also of those that were left out.
+    """
+
+    checked: bool
+    failed_gates: list[FailedGate]
+    labels: list[LabelQuality]
+
+
 class Sidecar(Document, frozen=True, kw_only=True):
     """std_toolkit.json at the top of an export; written last.
 
@@ -125,6 +179,8 @@ class Sidecar(Document, frozen=True, kw_only=True):
         label_cameras: cameras of the exported labels, if their size differs from colour.
         poses: poses of the exported frames, with scale report and gates.
         quaternion: convention of quaternions in the files of the layout, if it has any.
+        left_out_objects: objects that are left out of all frames.
+        quality: verdicts on the labels; absent in exports of earlier versions.
         files: digest of the content of every file by path relative to the export.
     """
 
@@ -144,6 +200,8 @@ class Sidecar(Document, frozen=True, kw_only=True):
     poses: CameraPoses | None
     visibility: list[Visibility]
     quaternion: str | None = None
+    left_out_objects: list[LeftOutObject] = msgspec.field(default_factory=list)
+    quality: Quality | msgspec.UnsetType = msgspec.UNSET
     files: dict[str, str]
 
     def model(self, model_id: str) -> ExportedModel | None:

@@ -139,6 +139,7 @@ class Gate:
         names: whether the detail begins with the names of what fails.
         after: key of the gate below which its row stands; "" for the order of the families.
         optional: whether the row is left out if nothing was measured.
+        scope: "scene" if a failure fails the scene, "label" if it counts by the verdicts.
     """
 
     key: str
@@ -152,6 +153,7 @@ class Gate:
     names: bool = False
     after: str = ""
     optional: bool = False
+    scope: Literal["scene", "label"] = "scene"
 
     def evaluate(self, measured: Measured) -> CheckGate:
         """The row of the report."""
@@ -207,6 +209,7 @@ class Gate:
         return CheckGate(
             key=self.key,
             title=self.title if isinstance(self.title, str) else self.title(options),
+            scope=self.scope,
             value=None if reading.value is None else round(reading.value, 3),
             deviation=reading.deviation,
             limit=round(self.limit_of(options), 4),
@@ -230,6 +233,15 @@ class SceneGate(Gate):
 
     def evaluate(self, measured: Measured) -> CheckGate:
         return self.row(self.measure(measured), measured.options)
+
+
+def accepts(verdict: Verdict, options: CheckOptions) -> str:
+    """Why a label with this verdict does not fail the check, or ""."""
+    if verdict == "unknown" and not options.strict:
+        return "unknown; fails with --strict"
+    if verdict == "doubtful" and options.allow_doubtful:
+        return "allowed by --allow-doubtful"
+    return ""
 
 
 def no_exemption(item: ObjectCheck, measured: Measured) -> str:
@@ -278,8 +290,7 @@ class ObjectGate(Gate):
     Attributes:
         measure: the number of an object; None if it was not measured.
         counts: whether the number of the scene is how many objects are beyond the limit.
-        exempt: why an object cannot fail the scene, or ""; its own verdict stays.
-        accept: why a failure of the scene is accepted, or "".
+        exempt: why an object cannot fail the gate, or ""; beyond the limit it is "unknown".
         verdict: that of an object beyond the limit.
         unmeasured: verdict of an object without a number; None: it depends on the other gates.
         warn_from: value in the unit of the gate from which an object within the limit gets a
@@ -290,12 +301,12 @@ class ObjectGate(Gate):
     measure: Callable[[ObjectCheck, Measured], Reading | None]
     counts: bool = False
     exempt: Callable[[ObjectCheck, Measured], str] = unseen
-    accept: Callable[[CheckOptions], str] | None = None
     verdict: Verdict = "wrong"
     unmeasured: Verdict | None = None
     warn_from: float | None = None
     detail: Callable[[Readings, Measured], str] = object_names
     names: bool = True
+    scope: Literal["scene", "label"] = "label"
 
     def evaluate(self, measured: Measured) -> CheckGate:
         options = measured.options
@@ -318,7 +329,9 @@ class ObjectGate(Gate):
             )
             detail = self.detail([(item, worst)], measured)
             reading = replace(worst, detail=detail)
-        return self.row(reading, options, self.accept(options) if self.accept else "")
+        verdict = reading.verdict or self.verdict
+        accepted = "" if self.scope == "scene" else accepts(verdict, options)
+        return self.row(reading, options, accepted)
 
     def finding(self, item: ObjectCheck, measured: Measured) -> GateFinding | None:
         reading = self.measure(item, measured)
@@ -326,12 +339,14 @@ class ObjectGate(Gate):
             if self.unmeasured is None:
                 return None
             return GateFinding(gate=self.key, verdict=self.unmeasured)
+        exempt = self.exempt(item, measured)
+        beyond: Verdict = "unknown" if exempt else self.verdict
         return GateFinding(
             gate=self.key,
             value=round(reading.value, 3),
             verdict=reading.verdict
-            or ("fits" if self.meets(reading, measured.options) else self.verdict),
-            exempt=self.exempt(item, measured) or reading.excuse,
+            or ("fits" if self.meets(reading, measured.options) else beyond),
+            exempt=exempt or reading.excuse,
         )
 
     def warnings(self, measured: Measured) -> list[CheckWarning]:

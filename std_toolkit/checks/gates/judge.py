@@ -13,6 +13,7 @@ from std_toolkit.checks import result
 from std_toolkit.checks.gates import contour, depth, frames, motion, placement, poses, texture
 from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.gates.hypotheses import weigh
+from std_toolkit.checks.gates.outcome import Outcome
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.placements import with_placements
@@ -140,14 +141,14 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         weighed=weighed,
     )
     gates = all_gates()
-    objects = [_with_verdict(o, gates, measured) for o in measured.objects]
+    objects = [_with_verdict(_with_pose(o, measured), gates, measured) for o in measured.objects]
     found = [(gate, gate.evaluate(measured)) for gate in gates]
     rows = [row for gate, row in found if row.value is not None or not gate.optional]
-    failed = [row for row in rows if row.status == "fail"]
+    outcome = Outcome.of(rows, objects, measured.options)
     return result.CheckReport(
         scene="",
-        passed=not failed,
-        verdict=_verdict(failed, measured.summary),
+        passed=outcome.passed,
+        verdict=outcome.line(),
         summary=measured.summary,
         gates=rows,
         warnings=_find_warnings(gates, rows, measured),
@@ -156,6 +157,41 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         frames=list(measured.frames),
         materials=list(measured.materials),
         limits={k: float(v) for k, v in asdict(measured.options).items()} | changed(),
+    )
+
+
+def _with_pose(item: result.ObjectCheck, measured: Measured) -> result.ObjectCheck:
+    """The object with where all evidence puts it."""
+    found = measured.weighed.get(item.object)
+    if found is None:
+        return item
+    mm, deg = found.located.mm, found.located.deg
+    return item.with_values(
+        [
+            result.Value(
+                key="within",
+                value=round(found.probability, 4),
+                source="judge",
+                text=found.reason,
+            ),
+            result.Value(
+                key="pose_mm",
+                value=round(mm[0], 2),
+                std=round(mm[1], 2),
+                unit="mm",
+                source="judge",
+                text=found.cause,
+                motion=[round(float(x), 3) for x in found.located.motion],
+                covariance=[float(f"{x:.6g}") for x in found.located.covariance.ravel()],
+            ),
+            result.Value(
+                key="pose_deg",
+                value=round(deg[0], 2),
+                std=round(deg[1], 2),
+                unit="deg",
+                source="judge",
+            ),
+        ]
     )
 
 
@@ -255,12 +291,3 @@ def _find_warnings(
     names = {item.name for item in measured.objects}
     rest = [w for gate in gates for w in gate.warnings(measured)]
     return failed + sorted(rest, key=lambda w: (_SEVERITY[w.severity], w.about not in names))
-
-
-def _verdict(failed: list[result.CheckGate], summary: result.SceneSummary) -> str:
-    if failed:
-        count = f"{len(failed)} gate{'s' if len(failed) > 1 else ''}"
-        return f"FAIL: {count}: {', '.join(g.key for g in failed)}"
-    if summary.labelled:
-        return "PASS: labels usable"
-    return "PASS: camera poses usable; there are no labels to check"

@@ -75,6 +75,7 @@ GATES = (
         counts=True,
         exempt=no_exemption,
         verdict="unknown",
+        scope="scene",
         optional=True,
         detail=all_names,
         advice="restore the files of the meshes",

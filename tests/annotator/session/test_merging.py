@@ -8,11 +8,12 @@ import pytest
 from annotator.session.ledger import History, Step, conflicts, take_over
 from annotator.session.merge import Stored, Version, differ, merge
 from annotator.session.saving import documents_of
-from annotator.session.state import AnnotationState, Click, ObjectState, Placement
+from annotator.session.state import AnnotationState, Cameras, Click, ObjectState, Placement
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Annotation, Labels, Model, ObjectTable
 
+CAMERAS = Cameras("no camera poses", (0, 1), {})
 BOX = Model(id="box", mesh="models/box/box.ply", size_m=[0.1, 0.1, 0.1], diameter_m=0.17)
 
 
@@ -31,7 +32,7 @@ def version(*objects: ObjectState) -> Version:
     empty = Version(
         Stored(objects=ObjectTable(), labels=Labels(), annotation=Annotation()), AnnotationState()
     )
-    return Version(documents_of(state, empty, None), state)
+    return Version(documents_of(state, empty, None, CAMERAS), state)
 
 
 def history(*states: AnnotationState) -> History:
@@ -111,7 +112,7 @@ def test_meshes_that_both_changed_differently_are_a_conflict() -> None:
         state = msgspec.structs.replace(
             BASE.state, models=[msgspec.structs.replace(BOX, category=category)]
         )
-        return Version(documents_of(state, BASE, None), state)
+        return Version(documents_of(state, BASE, None, CAMERAS), state)
 
     merged = merge(BASE, with_category("can").state, with_category("mug"), prefer="mine")
     assert merged.conflicts == ("mesh box",)

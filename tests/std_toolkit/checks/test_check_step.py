@@ -176,7 +176,8 @@ def test_second_run_does_nothing_and_changes_are_noticed(make_scene: MakeScene) 
     assert files[2].exists()
     assert check(scene, max_edge_px=2.5).limits["max_edge_px"] == 2.5
     scene.save_labels(Labels())
-    assert "labelled" in failed(check(scene))
+    assert check(scene).gate("labelled").value == 2
+    assert "labelled" in failed(check(scene, strict=True))
 
 
 @pytest.mark.slow
@@ -210,11 +211,13 @@ def test_scene_without_depth(make_scene: MakeScene) -> None:
 
 
 @pytest.mark.slow
-def test_scene_without_labels_fails_and_says_so(make_scene: MakeScene) -> None:
+def test_scene_without_labels_says_so_and_fails_if_strict(make_scene: MakeScene) -> None:
     scene = make_scene(Toy(frames=3))
     scene.save_labels(Labels())
     report = check(scene)
-    assert failed(report) == {"labelled"}
+    assert report.passed and "no labels" in report.verdict and not failed(report)
+    strict = check(scene, strict=True)
+    assert failed(strict) == {"labelled"} and strict.verdict == "FAIL: unknown: ball_1, ball_2"
     assert any("Labels" in m for m in report.missing)
     assert {o.verdict for o in report.objects} == {"unknown"}
 

@@ -202,4 +202,5 @@ def test_the_exporters_read_the_faults_of_the_report(make_scene: Callable[[Toy],
     flags = read_check_flags(scene)
     assert flags is not None
     assert set(flags.frames) == {2} and {f for f, _ in flags.objects} <= {2}
-    assert "camera" in flags.of_frame(2)
+    assert flags.frames[2] == "camera pose" and not flags.passed
+    assert [g.key for g in flags.gates] == ["camera"]

@@ -80,7 +80,8 @@ def test_a_gate_from_outside_is_everywhere() -> None:
     row = report.gate("tilt")
     assert (row.value, row.deviation, row.limit, row.status) == (9.0, 0.5, 2.5, "fail")
     assert row.detail == "o2"
-    assert report.verdict == "FAIL: 1 gate: tilt"
+    assert report.verdict == "FAIL: wrong: o2" and not report.passed
+    assert row.scope == "label"
     assert [o.verdict for o in report.objects] == ["fits", "wrong"]
     (finding,) = (f for f in report.objects[1].gates if f.gate == "tilt")
     assert (finding.value, finding.verdict) == (9.0, "wrong")
@@ -122,11 +123,12 @@ def test_two_gates_with_one_key_are_refused() -> None:
     assert "tilt" not in {g.key for g in all_gates()}
 
 
-def test_an_exempt_object_keeps_its_verdict_and_does_not_fail_the_scene() -> None:
+def test_nothing_is_known_of_an_exempt_object_beyond_the_limit() -> None:
     register_gate(tilt_gate(exempt=lambda item, _: "leans" if item.name == "o2" else ""))
     report = judged(tilted(1, 1.0), tilted(2, 9.0))
     assert report.passed and report.gate("tilt").value == 1.0
-    assert [o.verdict for o in report.objects] == ["fits", "wrong"]
+    assert [o.verdict for o in report.objects] == ["fits", "unknown"]
+    assert report.verdict == "PASS: no label is known to be wrong; unknown: o2"
     assert {f.exempt for f in report.objects[1].gates if f.gate == "tilt"} == {"leans"}
 
 
@@ -145,7 +147,7 @@ def test_a_gate_without_a_value_is_open_and_says_nothing_of_an_object() -> None:
     report = judged(tilted(1, None))
     assert report.gate("tilt").status == "open" and report.passed
     assert report.objects[0].verdict == "fits"
-    # An object without a label in the world cannot fail the scene.
+    # An object without a label in the world cannot fail the gate.
     report = judged(tilted(1, 9.0, label="annotated"))
     assert report.gate("tilt").status == "open"
 

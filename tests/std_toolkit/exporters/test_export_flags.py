@@ -14,6 +14,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import ExportOptions, export_scene
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.options import ImportRequest
+from std_toolkit.io.exr import read_exr
+from std_toolkit.io.images import read_mask
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.scene import Scene
 from std_toolkit.scene.check_flags import SCENE_INPUT, read_check_flags, scene_fingerprint
@@ -82,20 +84,54 @@ def test_an_export_without_a_check_has_no_flags(scene: Scene) -> None:
 
 
 def test_bad_frames_are_left_out(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
-    write_report(scene, {2: "unreadable"}, {(4, 7): "moved"})
+    write_report(scene, {2: "unreadable"}, {})
     out = scene.root.parent / "bop"
     arguments = ["export", str(scene.root), "--format", "bop", "--out", str(out)]
     assert main([*arguments, "--drop-bad-frames", "--engine", "serial"]) == 0
-    assert "left out 2 bad frames" in capsys.readouterr().out
+    assert "left out 1 bad frames" in capsys.readouterr().out
     sidecar = msgspec.json.decode((out / "std_toolkit.json").read_bytes())
-    assert [f["id"] for f in sidecar["frames"]] == [0, 6]
+    assert [f["id"] for f in sidecar["frames"]] == [0, 4, 6]
     reasons = {f["id"]: f["reason"] for f in sidecar["left_out"] if "check" in f["reason"]}
-    assert reasons == {2: "check: unreadable", 4: "check: object 7: moved"}
-    assert sorted(p.stem for p in out.rglob("rgb/*.png")) == ["000000", "000006"]
+    assert reasons == {2: "check: unreadable"}
+    assert sorted(p.stem for p in out.rglob("rgb/*.png")) == ["000000", "000004", "000006"]
     # An export with flags can be imported again.
     request = ImportRequest(source=out, name="again")
     again = import_recording(request, scene.root.parent / "again", options=SERIAL)
-    assert len(again.frames) == 2
+    assert len(again.frames) == 3
+
+
+@pytest.mark.parametrize("layout", ["std", "nocs", "bop"])
+def test_an_object_that_does_not_fit_is_left_out_of_its_frame_only(
+    scene: Scene, layout: str
+) -> None:
+    write_report(scene, {}, {(4, 4): "moved"})
+    out = scene.root.parent / layout
+    sidecar = export_scene(scene, layout, out, options=DROP, jobs=SERIAL)
+    assert [f.id for f in sidecar.frames] == [0, 2, 4, 6]
+    frame = sidecar.frames[2]
+    assert [(x.object, x.reason) for x in frame.left_out] == [(4, "check: moved")]
+    assert 4 not in {o.object for o in frame.objects}
+    assert all(not f.left_out for f in sidecar.frames if f.id != 4)
+    folder = out / sidecar.folder
+    shown = {f.id: {o.object for o in f.objects} for f in sidecar.frames}
+    assert 4 in shown[0] and 4 in {x.object for x in sidecar.labels.labels}
+    if layout == "bop":
+        truth = json.loads((folder / "scene_gt.json").read_text())
+        assert [len(truth[str(f)]) for f in (2, 4)] == [len(shown[2]), len(shown[2]) - 1]
+        assert len(list((folder / "mask_visib").glob("000004_*"))) == len(truth["4"])
+        return
+    number = next(o.mask_id for o in sidecar.frames[1].objects if o.object == 4)
+    masks = {f: read_mask(folder / f"{f:04d}_mask.png") for f in (2, 4)}
+    true = read_mask(scene.root / "gt/mask/000004.png")
+    assert number in masks[2] and (true == 4).any() and number not in masks[4]
+    if layout == "std":
+        depth = read_exr(folder / "0004_gt_depth.exr")["R"]
+        step = true.shape[0] // depth.shape[0]
+        there = true[::step, ::step] == 4
+        assert there.any() and (depth[there] == 0).mean() > 0.95
+    # NOCS: line i describes id i, in every frame.
+    lines = [len((folder / f"{f:04d}_meta.txt").read_text().splitlines()) for f in (2, 4)]
+    assert lines[0] - lines[1] == (1 if layout == "std" else 0)
 
 
 def test_dropping_needs_a_current_report(scene: Scene) -> None:

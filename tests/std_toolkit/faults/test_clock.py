@@ -18,7 +18,7 @@ DAY_S = 86_400
 STEPS = (
     ("propagate",),
     ("render", "--renderer", "raycast", "--workers", "1"),
-    ("check", "--allow-unconfirmed", "--workers", "1"),
+    ("check", "--workers", "1"),
 )
 
 

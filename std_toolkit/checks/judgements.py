@@ -1,0 +1,157 @@
+"""The judgement of each label, from the report of the check, and its way into labels.json."""
+
+from datetime import UTC, datetime
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.checks.result import CheckReport, ObjectCheck, Value
+from std_toolkit.options import CheckOptions
+from std_toolkit.scene.judgement import Evidence, Judgement
+from std_toolkit.scene.label_verdicts import judgement_inputs
+from std_toolkit.scene.model import Label, Labels
+from std_toolkit.scene.scene import Scene
+
+# What a failure of a gate says of its cause.
+_CAUSES = {
+    "moved": "moved",
+    "texture": "turn",
+    "size": "size",
+    **dict.fromkeys(("motion", "rotation", "shift", "edges", "depth"), "label"),
+}
+
+
+def store_judgements(scene: Scene, report: CheckReport, options: CheckOptions) -> None:
+    """Write the judgements of a report into labels.json, if they are new.
+
+    The report belongs to the labels of the scene, and the caller holds the lock of the scene.
+    """
+    inputs = judgement_inputs(scene)
+    rows = {item.object: item for item in report.objects}
+    now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    labels = []
+    for label in scene.labels.labels:
+        item = rows.get(label.object)
+        judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
+        if item is not None and label.T_world_obj is not None:
+            judgement = judgement_of(item, report, options, label, inputs[label.object], now)
+        labels.append(msgspec.structs.replace(label, judgement=_kept(label, judgement)))
+    if labels != scene.labels.labels:
+        scene.save_labels(Labels(labels=labels))
+
+
+def judgement_of(
+    item: ObjectCheck,
+    report: CheckReport,
+    options: CheckOptions,
+    label: Label,
+    inputs: str,
+    time: str,
+) -> Judgement:
+    """The judgement of one label.
+
+    Args:
+        item: its row in the report.
+        report: the report.
+        options: limits.
+        label: its label, with a pose in the world.
+        inputs: digest of what was measured; see `judgement_inputs`.
+        time: when it was measured, UTC, ISO 8601.
+    """
+    assert label.T_world_obj is not None
+    pose = item.entry("pose_mm")
+    covariance = _covariance(pose)
+    probability = item.value("within")
+    grade, reason = item.verdict, reason_of(item, report)
+    if probability is None and grade in ("fits", "doubtful"):
+        grade, reason = (
+            "unknown",
+            "too few frames determine its pose"
+            + (f"; {reason}" if item.verdict == "doubtful" else ""),
+        )
+    failed = [f.gate for f in item.gates if f.verdict not in ("fits", "unknown")]
+    return Judgement(
+        grade=grade,
+        probability=probability,
+        cause=next((_CAUSES[key] for key in failed if key in _CAUSES), item.text("pose_mm")),
+        reason=reason,
+        T_obj=label.T_world_obj,
+        deviation_mm=_weakest(covariance, slice(0, 3)),
+        deviation_deg=_weakest(covariance, slice(3, 6)),
+        inputs=inputs,
+        time=time,
+        evidence=_evidence(item),
+    )
+
+
+def reason_of(item: ObjectCheck, report: CheckReport) -> str:
+    """The verdict of an object in one sentence: the findings that gave it."""
+    if item.verdict == "fits":
+        return item.text("within") or "the images agree with the label"
+    parts = []
+    for finding in item.gates:
+        if finding.verdict != item.verdict:
+            continue
+        if finding.gate in ("motion", "rotation", "seen") and item.text("within"):
+            parts = [item.text("within"), *[p for p in parts if p != item.text("within")]]
+            continue
+        row = report.gate(finding.gate)
+        title = row.title.split(", worst ")[0]
+        unit = f" {row.unit}" if row.unit else ""
+        if finding.value is None or not row.limit:
+            parts.append(title if finding.value is not None else f"not measured: {title}")
+        else:
+            parts.append(
+                f"{title}: {finding.value:.4g}{unit}, must be {row.rule} {row.limit:g}{unit}"
+            )
+    return "; ".join(parts) or "nothing was measured"
+
+
+def _kept(label: Label, judgement: Judgement | msgspec.UnsetType) -> Judgement | msgspec.UnsetType:
+    """The judgement of the label if it says the same, with its time."""
+    before = label.judgement
+    if isinstance(before, msgspec.UnsetType) or isinstance(judgement, msgspec.UnsetType):
+        return judgement
+    same = msgspec.structs.replace(judgement, time=before.time) == before
+    return before if same else judgement
+
+
+def _covariance(motion: Value | None) -> NDArray[np.float64] | None:
+    if motion is None or motion.motion is None or motion.covariance is None:
+        return None
+    return np.reshape(np.asarray(motion.covariance, dtype=np.float64), (6, 6))
+
+
+def _weakest(covariance: NDArray[np.float64] | None, part: slice) -> float | None:
+    """Standard deviation along the weakest direction of translation or rotation."""
+    if covariance is None:
+        return None
+    largest = float(np.linalg.eigvalsh(covariance[part, part])[-1])
+    return round(float(np.sqrt(max(largest, 0.0))), 3)
+
+
+def _evidence(item: ObjectCheck) -> list[Evidence]:
+    found = []
+    for key, text in (("motion_mm", item.text("support")), ("texture_mm", "")):
+        motion = item.entry(key)
+        if motion is not None and motion.motion is not None:
+            found.append(
+                Evidence(
+                    source="contour" if key == "motion_mm" else "texture",
+                    motion_mm=motion.motion[:3],
+                    turn_deg=motion.motion[3:],
+                    covariance=motion.covariance,
+                    frames=motion.frames,
+                    text=text,
+                )
+            )
+    texture, turn = item.entry("texture"), item.text("texture_rival")
+    if texture is not None:
+        text = f"{texture.text}: {turn}" if turn else texture.text
+        found.append(Evidence(source="texture", frames=texture.frames, text=text))
+    depth = item.entry("depth_mm")
+    if depth is not None and depth.value is not None:
+        text = f"the label is {depth.value:+.1f} mm behind the measured surface"
+        found.append(Evidence(source="depth", frames=depth.frames, text=text))
+    return found
