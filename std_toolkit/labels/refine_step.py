@@ -6,6 +6,7 @@ Keyframes are spread over the viewpoints, are sharp and show the objects.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.refine import problem
@@ -22,6 +24,7 @@ from std_toolkit.labels.refined_scale import MeasuredScale
 from std_toolkit.labels.texture.comparison import compare_texture
 from std_toolkit.log import logger
 from std_toolkit.rendering.texture import TexturedSurface
+from std_toolkit.scene.frame_names import frame_title
 from std_toolkit.scene.model import Frame, Label, annotated_views, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -100,7 +103,8 @@ def refine_labels(
         count=keyframes,
         always=sorted({f for x in placed.values() for f in annotated_views(x)}),
     )
-    views = load_views(scene, frames, use_depth=use_depth)
+    left_out: dict[int, ToolkitError] = {}
+    views = load_views(scene, frames, use_depth=use_depth, left_out=left_out)
     objects = [
         replace(
             scene_object(scene, i, start[i], fixed=i not in placed),
@@ -113,7 +117,9 @@ def refine_labels(
         for i in sorted(everything)
     ]
     textured = {i: start[i] for i, o in zip(sorted(everything), objects, strict=True) if o.texture}
-    texture_views = load_texture_views(scene, textured, [v.frame for v in views])
+    texture_views = load_texture_views(scene, textured, [f.id for f in frames], left_out=left_out)
+    for line in left_out_sentences(scene, left_out):
+        logger.warning("%s", line)
     result = refine_poses(
         views,
         objects,
@@ -169,27 +175,57 @@ def refine_labels(
 
 
 def load_views(
-    scene: Scene, frames: list[Frame], *, use_depth: bool = True
+    scene: Scene,
+    frames: Sequence[Frame],
+    *,
+    use_depth: bool = True,
+    left_out: dict[int, ToolkitError] | None = None,
 ) -> list[problem.RefineView]:
-    """The frames as inputs of a refinement; all must be registered."""
+    """The frames as inputs of a refinement; all must be registered.
+
+    Args:
+        left_out: receives the errors of frames that cannot be read, by frame id; None raises the
+            first one.
+
+    Raises:
+        ToolkitError: a frame, or with `left_out` every frame, cannot be read.
+    """
     assert scene.poses is not None
     covariances = {p.frame: p.covariance for p in scene.poses.frames if p.covariance is not None}
     views = []
     for frame in frames:
         T_world_cam = scene.T_world_cam(frame.id)
         assert T_world_cam is not None
+        try:
+            color = scene.read_color(frame)
+            depth = scene.read_depth(frame) if use_depth else None
+        except ToolkitError as error:
+            if left_out is None:
+                raise
+            left_out[frame.id] = error
+            continue
         known = covariances.get(frame.id)
         views.append(
             problem.RefineView.of(
                 scene.camera(frame),
                 T_world_cam,
-                scene.read_color(frame),
-                scene.read_depth(frame) if use_depth else None,
+                color,
+                depth,
                 frame=frame.id,
                 pose_covariance=None if known is None else np.reshape(known, (6, 6)),
             )
         )
+    if left_out and frames and not views:
+        raise left_out[frames[0].id]
     return views
+
+
+def left_out_sentences(scene: Scene, left_out: Mapping[int, ToolkitError]) -> list[str]:
+    """One sentence per frame that was left out, with its file and the reason."""
+    return [
+        f"{frame_title(scene.frame(i))} is left out: {error.problem}"
+        for i, error in sorted(left_out.items())
+    ]
 
 
 def texture_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> TexturedSurface | None:
@@ -201,13 +237,18 @@ def texture_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> Text
 
 
 def load_texture_views(
-    scene: Scene, objects: Mapping[int, SE3], loaded: Sequence[int]
+    scene: Scene,
+    objects: Mapping[int, SE3],
+    loaded: Sequence[int],
+    *,
+    left_out: dict[int, ToolkitError],
 ) -> list[problem.RefineView]:
     """More frames in which the textures of objects are matched, without depth.
 
     Args:
         objects: T_world_obj of the objects with a texture, by id.
         loaded: ids of the frames that are loaded anyway.
+        left_out: receives the errors of frames that cannot be read, by frame id.
     """
     frames = [f for f in scene.registered_frames() if f.id not in set(loaded)]
     cameras = [scene.camera(f) for f in frames]
@@ -226,7 +267,12 @@ def load_texture_views(
         kept = [
             kept[k] for k in np.linspace(0, len(kept) - 1, 2 * _TEXTURE_VIEWS).round().astype(int)
         ]
-    return load_views(scene, [frames[k] for k in kept], use_depth=False)
+    views = []
+    for k in kept:
+        # These frames only add to others, so that none of them need be readable.
+        with suppress(ToolkitError):
+            views += load_views(scene, [frames[k]], use_depth=False, left_out=left_out)
+    return views
 
 
 def scene_object(
@@ -373,7 +419,12 @@ def _spread(where: NDArray[np.float64], count: int, start: list[int]) -> list[in
 
 
 def _sharpness(scene: Scene, frame: Frame) -> float:
-    grey = cv2.cvtColor(scene.read_color(frame), cv2.COLOR_RGB2GRAY)
+    """Variance of the Laplacian; -1 for an image that cannot be read."""
+    try:
+        color = scene.read_color(frame)
+    except ToolkitError:
+        return -1.0
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     height = max(1, round(grey.shape[0] * min(1.0, 480 / grey.shape[1])))
     small = cv2.resize(grey, (min(480, grey.shape[1]), height), interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(small, cv2.CV_32F).var())

@@ -75,6 +75,7 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             f"{snapshot.scene.objects.object(i).name} keeps its pose: {error}"
             for i, error in found.failures.items()
         ]
+        warnings += [f"{line[:1].upper()}{line[1:]}." for line in found.left_out]
         for refined in found.objects.values():
             frame_of_pose, T_cam_obj = self._placed_in(snapshot, refined, alone)
             changes.append(

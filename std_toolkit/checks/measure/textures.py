@@ -10,9 +10,9 @@ import numpy as np
 from std_toolkit.checks import result
 from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
-from std_toolkit.labels.refine_step import load_views, scene_object, texture_surface
-from std_toolkit.labels.texture.comparison import FRAMES, TextureComparison, compare_texture
+from std_toolkit.labels.refine_step import scene_object, texture_surface
+from std_toolkit.labels.texture.comparison import TextureComparison
+from std_toolkit.labels.texture_step import compare_objects, scene_views
 from std_toolkit.scene import Frame, Scene
 
 
@@ -36,34 +36,15 @@ def compare_textures(
         if pose is not None and mesh_problem(scene, item.model) is None:
             placed[item.id] = pose
     objects = {i: scene_object(scene, i, pose) for i, pose in placed.items()}
-    cameras = [scene.camera(f) for f in frames]
-    poses = [T for f in frames if (T := scene.T_world_cam(f.id)) is not None]
-    assert len(poses) == len(frames), "only registered frames can be compared"
-    views: dict[int, RefineView] = {}
+    views = scene_views(scene, frames)
     found = {}
     for i, obj in objects.items():
-        if only is not None and i not in only:
-            continue
-        centre = obj.T_world_obj @ obj.centre
-        chosen = large_views(cameras, poses, centre, obj.radius, count=FRAMES)
-        for k in chosen:
-            if k not in views:
-                (views[k],) = load_views(scene, [frames[k]])
-        others = [o for j, o in objects.items() if j != i]
-        found[i] = _compare(scene, i, obj, others, [views[k] for k in chosen])
+        if only is None or i in only:
+            mesh = scene.mesh(scene.objects.object(i).model)
+            # Textures are large, so that they are kept for one object at a time.
+            textured = replace(obj, texture=texture_surface(scene, i, mesh))
+            found |= compare_objects(views, {**objects, i: textured}, [i])
     return found
-
-
-def _compare(
-    scene: Scene,
-    object_id: int,
-    obj: RefineObject,
-    others: Sequence[RefineObject],
-    views: Sequence[RefineView],
-) -> TextureComparison:
-    mesh = scene.mesh(scene.objects.object(object_id).model)
-    textured = texture_surface(scene, object_id, mesh)
-    return compare_texture(views, replace(obj, texture=textured), others)
 
 
 def with_texture(item: result.ObjectCheck, found: TextureComparison | None) -> result.ObjectCheck:
