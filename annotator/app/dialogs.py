@@ -154,7 +154,7 @@ class Dialogs:
 
         if meshes:
             names = ", ".join(mesh.path.name for mesh in meshes[:3])
-            self._c.start(f"Read {names}", measure, finish)
+            self._c.start(f"Read {names}", measure, finish, beside=True)
 
     def _ask_units(
         self,

@@ -15,7 +15,7 @@ import numpy as np
 
 from std_toolkit.geometry import SE3, rotation_error
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
-from std_toolkit.labels.texture.alternatives import Alternative, NearSymmetry
+from std_toolkit.labels.texture.alternatives import Alternative, NearSymmetry, near_symmetry
 from std_toolkit.labels.texture.chance import OwnScore
 from std_toolkit.labels.texture.scores import (
     TextureScore,
@@ -171,7 +171,7 @@ def compare_texture(
         alternatives and the texture does not agree.
     """
     surface = surface or obj.texture
-    near = near or NearSymmetry(obj.vertices, obj.faces, obj.symmetry)
+    near = near or near_symmetry(obj.vertices, obj.faces, obj.symmetry)
     views = views if isinstance(views, Views) else Views.of(views)
     chosen = views.large(obj.T_world_obj @ obj.centre, obj.radius)
     in_view = [views.poses[k].inverse() @ obj.T_world_obj for k in chosen]
