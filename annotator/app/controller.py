@@ -24,6 +24,7 @@ from std_toolkit.geometry import SE3
 if TYPE_CHECKING:
     from annotator.app.image_cache import ImageCache
     from annotator.app.mesh_folder import MeshFolder, MeshToPlace
+    from annotator.session.state import Status
     from std_toolkit.labels.support.penetration import Penetration
     from std_toolkit.labels.support.plane import TablePlane
 
@@ -315,10 +316,14 @@ class Controller:
             return np.array([0.0, -1.0, 0.0])
         return np.asarray(T_cam_plane.R @ self.table.plane.normal)
 
-    def mark(self, status: str) -> None:
-        """Set the status of the selected object."""
+    def mark(self, status: Status, *, anyway: bool = False) -> None:
+        """Set the status of the selected object.
+
+        Args:
+            anyway: whether it is not known to fit; see `ChangeObject`.
+        """
         if self.selected is not None:
-            self.apply(ChangeObject(object=self.selected, status=status))  # type: ignore[arg-type]
+            self.apply(ChangeObject(object=self.selected, status=status, anyway=anyway))
 
     def drag_to(self, name: str, frame: int, T_cam_obj: SE3) -> None:
         """Set the preview pose of a dragged object; `end_drag` commits it."""

@@ -196,7 +196,7 @@ class Dialogs:
 
         def react(pressed: str, _: questions.Answers) -> None:
             if pressed == "done" and self._c.selected == name:
-                self._c.mark("done")
+                self._c.mark("done", anyway=True)
 
         if doubts:
             self._ask(label_questions.doubt_question(doubts, react))

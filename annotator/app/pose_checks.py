@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
-from annotator.app.verdicts import object_verdict
-from annotator.session import SetPoses
+from annotator.app.verdicts import measured_verdict, object_verdict
+from annotator.app.view_options import choose_view_frames
+from annotator.session import Session, SetPoses
 from annotator.session.state import ObjectState, Snapshot
 
 if TYPE_CHECKING:
@@ -147,13 +148,13 @@ def toggle_done(c: Controller) -> None:
     name = c.selected
     if name is None:
         return
+    grade = object_verdict(c, name).grade
+    known = name in c.residuals and name in c.ranks and name not in c.findings.uncompared()
     if c.session.object(name).status == "done":
         c.mark("open")
-    elif DOUBT not in c.dialogs or object_verdict(c, name).grade == "fits":
+    elif DOUBT not in c.dialogs or grade == "fits":
         c.mark("done")
-    elif object_verdict(c, name).turned or (
-        name in c.residuals and name in c.ranks and name not in c.findings.uncompared()
-    ):
+    elif known or grade in ("doubtful", "wrong"):
         c.ask(DOUBT)
     else:
         _measure_then_mark(c, name)
@@ -186,6 +187,20 @@ def _measure_then_mark(c: Controller, name: str) -> None:
             c.ask(DOUBT)
 
     c.start(f"Check {name}", work, finish)
+
+
+def doubt(session: Session, name: str) -> str:
+    """Measure an object as the window does; returns why it is not known to fit, or ""."""
+    from annotator.session.textures import compare_textures
+
+    snapshot, obj = session.snapshot(), session.object(name)
+    frames = list(dict.fromkeys([*obj.placements, *choose_view_frames(session.scene, session)]))
+    task = Task(f"Check {name}")
+    rows = measure_objects(snapshot, [obj], frames, task).get(obj.id, [])
+    rank = _rank(snapshot, [obj], frames, task).get(obj.id)
+    texture = compare_textures(snapshot, [name], frames[0]).get(name)
+    verdict = measured_verdict(rows, rank, texture)
+    return "" if verdict.grade == "fits" else verdict.text
 
 
 def can_take_turn(c: Controller) -> bool:
