@@ -96,6 +96,11 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             for name, found in textures.items()
             if found.verdict == "turned"
         ]
+        warnings += [
+            f"{name}: {found.sentence()}"
+            for name, found in textures.items()
+            if found.verdict == "other"
+        ]
         return Outcome(
             SetPoses(changes=changes, label=self.title), report, warnings, weak, textures
         )
