@@ -1,7 +1,5 @@
 """Options of `std-restore`; the module imports no heavy package."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,8 +7,8 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
-from std_toolkit.jobs.options import JobOptions
-from std_toolkit.options import ImageOptions
+from std_toolkit.importers.options import ImageOptions
+from std_toolkit.options import JobOptions
 
 Backend = Literal["auto", "onnx", "torch"]
 DepthFormat = Literal["same", "png", "exr"]

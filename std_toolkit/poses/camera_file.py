@@ -13,8 +13,6 @@ par         `*_par.txt`: image name, K, R and t per line, P = K [R | t]
 The convention of the file is applied by `known_cameras`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

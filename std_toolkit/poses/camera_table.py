@@ -8,8 +8,6 @@ rotation      `qw qx qy qz`, or the rotation vector `rx ry rz` in radians
 or a matrix   `m00` to `m33` (or to `m23`), row-major
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.arrays import Array
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.geometry.se3 import so3_exp
@@ -50,7 +48,7 @@ class FiledCameras:
 
     path: Path
     kind: str
-    matrices: NDArray[np.float64]
+    matrices: Array
     keys: list[str] | None = None
     lenses: Sequence[Intrinsics | None] = ()
     convention: str | None = None
@@ -79,7 +77,7 @@ class FiledCameras:
         return lenses[0]
 
 
-def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
+def as_matrix(value: Any, path: Path, at: str) -> Array:
     """Return a (4, 4) rigid transform from 16 or 12 numbers in any nesting.
 
     Raises:
@@ -94,7 +92,8 @@ def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
             "a camera pose needs 4x4 (or 3x4) numbers", path=path, field=at,
             value=f"{M.size} numbers",
         )  # fmt: skip
-    return _placed(lambda: SE3.from_matrix(M).matrix(), path, at)
+    with located(path, at):
+        return SE3.from_matrix(M).matrix()
 
 
 def read_table(path: Path) -> FiledCameras:
@@ -225,7 +224,7 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
 
 def _csv_matrix(
     values: list[float], rotation: tuple[str, ...] | None, path: Path, at: str
-) -> NDArray[np.float64]:
+) -> Array:
     if rotation is None:
         return as_matrix(values, path, at)
     if rotation == _QUATERNION:
@@ -235,20 +234,9 @@ def _csv_matrix(
     return SE3(so3_exp(values[3:]), np.array(values[:3])).matrix()
 
 
-def _from_quat(
-    wxyz: Sequence[float], t: Sequence[float], path: Path, at: str
-) -> NDArray[np.float64]:
-    return _placed(lambda: SE3.from_quat(wxyz, t).matrix(), path, at)
-
-
-def _placed(make: Callable[[], NDArray[np.float64]], path: Path, at: str) -> NDArray[np.float64]:
-    """Add the place in the file to an error."""
-    try:
-        return make()
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=at or None, value=error.value, hint=error.hint
-        ) from error
+def _from_quat(wxyz: Sequence[float], t: Sequence[float], path: Path, at: str) -> Array:
+    with located(path, at):
+        return SE3.from_quat(wxyz, t).matrix()
 
 
 def _is_number(word: str) -> bool:

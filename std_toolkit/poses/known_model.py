@@ -1,7 +1,5 @@
 """Reconstruction at known camera poses: check, triangulation, refinement with fixed scale."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -13,13 +11,16 @@ import numpy as np
 import pycolmap
 
 from std_toolkit import errors, log
-from std_toolkit.geometry import SE3, Camera, camera, rotation_angle
+from std_toolkit.geometry import SE3, Camera, depth_maps, rotation_angle
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
 from std_toolkit.poses import features, mapping, reconstruct, register
 from std_toolkit.poses.colmap import (
+    Reconstructed,
+    Reconstruction,
     add_image,
     from_rigid3d,
+    image_id_of,
     observations,
     quiet_colmap,
     to_colmap_camera,
@@ -61,7 +62,7 @@ def reconstruct_known(
     *,
     options: PoseOptions,
     jobs: JobOptions,
-) -> tuple[reconstruct.Reconstructed, list[str]]:
+) -> tuple[Reconstructed, list[str]]:
     """Check the known poses against the images and triangulate the points that they explain.
 
     Args:
@@ -100,7 +101,7 @@ def reconstruct_known(
     log.logger.info("known camera poses: checking %d, %d image pairs", len(keyframes), len(pairs))
     images = [
         mapping.MappingImage(
-            image_id=reconstruct.image_id_of(f), name=f.color, camera=f.camera,
+            image_id=image_id_of(f), name=f.color, camera=f.camera,
             features=loaded[f.id],
         )
         for f in keyframes
@@ -115,7 +116,7 @@ def reconstruct_known(
     poses = {f: T for f, T in known.poses().items() if f not in verdict.bad}
     model = _triangulate(database, work, keyframes, poses, cameras, camera_ids, options)
     _check_distance(model, known)
-    number = reconstruct.image_id_of
+    number = image_id_of
     index = register.build_index(
         model,
         [(number(f), names[f.id], i) for i, f in zip(chosen, keyframes, strict=True)],
@@ -132,8 +133,8 @@ def reconstruct_known(
     if known.options.cameras_use == "refine":
         kept = {f: T for f, T in poses.items() if f not in bad}
         notes.append(_refine(model, kept, verdict.median_px or 0.0, options))
-    about = reconstruct.Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
-    return reconstruct.Reconstructed(model, about), notes
+    about = Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
+    return Reconstructed(model, about), notes
 
 
 def known_scale(
@@ -248,7 +249,7 @@ def _triangulate(
         image = pycolmap.Image(
             name=frame.color,
             camera_id=camera_ids[frame.camera],
-            image_id=reconstruct.image_id_of(frame),
+            image_id=image_id_of(frame),
         )
         model.add_image_with_trivial_frame(image, to_rigid3d(poses[frame.id].inverse()))
     pipeline = pycolmap.IncrementalPipelineOptions()
@@ -272,7 +273,7 @@ def _check_distance(model: Any, known: KnownPoses) -> None:
     if len(every) == 0:
         return
     median = float(np.median(every))
-    if not camera.SMALLEST_MEDIAN_DEPTH_M <= median <= camera.LARGEST_MEDIAN_DEPTH_M:
+    if not depth_maps.SMALLEST_MEDIAN_DEPTH_M <= median <= depth_maps.LARGEST_MEDIAN_DEPTH_M:
         raise errors.ToolkitError(
             f"by these poses the objects are {median:.4g} m from the camera",
             path=known.filed.path,
@@ -329,7 +330,7 @@ def _add_rest(
                 continue
         add_image(
             model,
-            image_id=reconstruct.image_id_of(frame),
+            image_id=image_id_of(frame),
             name=frame.color,
             camera_id=camera_ids[frame.camera],
             T_cam_world=poses[frame.id].inverse(),

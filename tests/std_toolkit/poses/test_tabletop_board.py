@@ -19,7 +19,8 @@ from std_toolkit.geometry import SE3, rotation_error, umeyama
 from std_toolkit.geometry.mesh import load_mesh, mesh_diameter, mesh_extents
 from std_toolkit.options import Refinement
 from std_toolkit.poses import PoseOptions
-from std_toolkit.poses.pose_step import estimate_poses, failed_gates
+from std_toolkit.poses.pose_gates import failed_gates
+from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import Label, Labels, Model, Object, ObjectTable, Scene
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]
