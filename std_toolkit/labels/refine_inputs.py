@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.surface_colors import SurfaceColors
+from std_toolkit.labels.keyframes import choose_keyframes
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
 from std_toolkit.labels.refine_step import (
-    choose_keyframes,
     load_texture_views,
     load_views,
     scene_object,
