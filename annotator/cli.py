@@ -34,8 +34,12 @@ def open_scene(options: AnnotateOptions) -> int:
         )
     if options.script is not None:
         script = importlib.import_module("annotator.session.script")
+        doubt = importlib.import_module("annotator.app.pose_checks").doubt
         who, recover = options.annotator, options.recover
-        return int(script.run(options.scene, options.script, annotator=who, recover=recover))
+        done = script.run(
+            options.scene, options.script, annotator=who, recover=recover, doubt=doubt
+        )
+        return int(done)
     if options.web is not None:
         token = options.token or os.environ.get(TOKEN_VARIABLE)
         needs = ("aiohttp", "pyvista", "trame", "trame_vuetify")

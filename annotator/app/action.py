@@ -80,6 +80,11 @@ def is_idle(c: Controller) -> bool:
     return c.task is None
 
 
+def can_queue(c: Controller) -> bool:
+    """Whether the selected object has a pose, and a computation can start or wait for its turn."""
+    return has_placed(c) and (c.task is None or not c.task.alone)
+
+
 def can_compute(c: Controller) -> bool:
     """Whether the selected object has a pose and no computation is running."""
     return has_placed(c) and is_idle(c)

@@ -1,4 +1,4 @@
-"""Automatic background computations: table, penetrations, residuals, image prefetch.
+"""Automatic background computations: table, penetrations, residuals, textures, image prefetch.
 
 They run in the second thread of the runner and never delay computations that the user started.
 """
@@ -22,13 +22,21 @@ if TYPE_CHECKING:
 PENETRATION_DELAY_S = 0.3
 RESIDUAL_DELAY_S = 0.8
 TABLE_DELAY_S = 1.0
-_KEYS = ("Table", "Penetration", "Residuals", operations.OTHER_RESIDUALS, pose_checks.RANKS)
+TEXTURE_DELAY_S = 1.5
+_KEYS = (
+    "Table",
+    "Penetration",
+    "Residuals",
+    operations.OTHER_RESIDUALS,
+    pose_checks.RANKS,
+    pose_checks.TEXTURES,
+)
 # Number of images prefetched on each side of the one in the main view.
 FRAMES_AHEAD = 4
 
 
 class BackgroundUpdates:
-    """Updates `table`, `penetrations` and `residuals` of a controller after its events."""
+    """Updates `table`, `penetrations` and `findings` of a controller after its events."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
@@ -67,6 +75,7 @@ class BackgroundUpdates:
         """Request everything that the last edit may have changed."""
         self._find_penetrations()
         operations.measure_residuals(self._controller, delay=RESIDUAL_DELAY_S)
+        pose_checks.compare_textures_aside(self._controller, delay=TEXTURE_DELAY_S)
         table = self._controller.table
         if table is None or table.source == "objects":
             self._search_table(table_delay)
@@ -144,6 +153,7 @@ def _import_heavy(_: Task) -> None:
         "std_toolkit.checks.measure.ranking",
         "std_toolkit.labels.support.table",
         "std_toolkit.labels.auto_refine",
+        "annotator.session.textures",
     ):
         import_module(name)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annotator.app import events, tasks, view_options
+from annotator.app.findings import Findings
 from annotator.session import ChangeObject, Move, Session, SetPoses
 from annotator.session.edits import AnyEdit, Axes
 from annotator.session.session import Change
@@ -23,11 +24,9 @@ from std_toolkit.geometry import SE3
 if TYPE_CHECKING:
     from annotator.app.image_cache import ImageCache
     from annotator.app.mesh_folder import MeshFolder, MeshToPlace
-    from annotator.session.residuals import FrameResidual
-    from std_toolkit.checks.measure.ranking import PoseRank
+    from annotator.session.state import Status
     from std_toolkit.labels.support.penetration import Penetration
     from std_toolkit.labels.support.plane import TablePlane
-    from std_toolkit.labels.texture.comparison import TextureComparison
 
 # Steps of the keyboard: millimetres of a shift and degrees of a turn, coarse to fine.
 STEPS = (10.0, 1.0, 0.1)
@@ -49,22 +48,18 @@ class Controller:
         gizmo: handles shown on the selected object.
         clicking: whether clicks set 2D-3D correspondences instead of moving the object.
         pending_point: (x, y, z) clicked on the mesh whose pixel is not clicked yet; metres.
-        residuals: last measured residuals by object; removed when the pose changes.
+        findings: what is known of the objects' poses; `residuals`, `ranks`, `textures`,
+            `weak_directions` and `unmeasured` are its own.
         dialogs: names of the dialogs of the front end; see `Action.asks`.
         mesh_folder: folder whose meshes are in the library, or None.
         mesh_to_place: mesh of the folder that the dialog "place_mesh" adds to the scene.
         conflict: text on the concurrent changes that the last attempt to save found.
-        weak_directions: sentence by object on the direction that its last refinement determined
-            least.
-        ranks: ranks among nearby poses by object; removed when the pose changes.
-        textures: texture comparison of the last refinement by object; removed when the pose
-            changes.
         table: the plane on which the objects stand, if found.
         table_problem: text on why there is no table.
         penetrations: penetrations between objects or with the table, deepest first.
         penetrations_frame: the frame for which they hold; None for all frames.
-        unmeasured: names of objects whose residuals were removed by their last edit.
-        start, start_aside, cancel_aside: computations in the background; see `tasks.Work`.
+        start, start_in_turn, start_aside, cancel_aside: computations in the background; see
+            `tasks.Work`.
     """
 
     def __init__(
@@ -82,22 +77,22 @@ class Controller:
         self.gizmo = view_options.Gizmo.MOVE
         self.clicking = False
         self.pending_point: tuple[float, float, float] | None = None
-        self.residuals: dict[str, list[FrameResidual]] = {}
+        self.findings = Findings(session)
+        self.residuals, self.ranks = self.findings.residuals, self.findings.ranks
+        self.textures = self.findings.textures
+        self.weak_directions = self.findings.weak_directions
+        self.unmeasured = self.findings.unmeasured
         self.dialogs: frozenset[str] = frozenset()
         self.mesh_folder: MeshFolder | None = None
         self.mesh_to_place: MeshToPlace | None = None
         self.conflict = ""
-        self.weak_directions: dict[str, str] = {}
-        self.ranks: dict[str, PoseRank] = {}
-        self.textures: dict[str, TextureComparison] = {}
         self.table: TablePlane | None = None
         self.table_problem = ""
         self.penetrations: tuple[Penetration, ...] = ()
         self.penetrations_frame: int | None = None
-        self.unmeasured: set[str] = set()
         self._work = tasks.Work(runner, self.emit)
         self.start, self.start_aside = self._work.start, self._work.start_aside
-        self.cancel_aside = self._work.cancel_aside
+        self.start_in_turn, self.cancel_aside = self._work.start_in_turn, self._work.cancel_aside
         self._listeners: list[Callable[[events.Event], None]] = []
         self._drag: tuple[str, int, SE3] | None = None
         session.subscribe(self._on_change)
@@ -140,14 +135,7 @@ class Controller:
             self.emit(events.Event("selected"))
         if self._drag is not None and self._drag[0] not in names:
             self._drag = None
-        # Adding a mesh moves no object; reading the scene again may move all.
-        moved = change.objects
-        if not moved and change.kind == "reread":
-            moved = (*self.residuals, *self.weak_directions, *self.ranks, *self.textures)
-        for name in moved:
-            for found in (self.residuals, self.weak_directions, self.ranks, self.textures):
-                found.pop(name, None)
-        self.unmeasured = (self.unmeasured | set(moved)) & names
+        self.findings.follow(reread=change.kind == "reread")
         self.emit(events.Event("edited", objects=change.objects, text=change.title))
 
     # --- looking ------------------------------------------------------------------------------
@@ -328,10 +316,14 @@ class Controller:
             return np.array([0.0, -1.0, 0.0])
         return np.asarray(T_cam_plane.R @ self.table.plane.normal)
 
-    def mark(self, status: str) -> None:
-        """Set the status of the selected object."""
+    def mark(self, status: Status, *, anyway: bool = False) -> None:
+        """Set the status of the selected object.
+
+        Args:
+            anyway: whether it is not known to fit; see `ChangeObject`.
+        """
         if self.selected is not None:
-            self.apply(ChangeObject(object=self.selected, status=status))  # type: ignore[arg-type]
+            self.apply(ChangeObject(object=self.selected, status=status, anyway=anyway))
 
     def drag_to(self, name: str, frame: int, T_cam_obj: SE3) -> None:
         """Set the preview pose of a dragged object; `end_drag` commits it."""

@@ -13,7 +13,7 @@ from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.mesh_folder import MeshFolder, remember_folder
 from annotator.app.mesh_import import MeshSize, NewMesh, measure_mesh
-from annotator.app.verdicts import doubtful_objects
+from annotator.app.verdicts import doubtful_objects, object_verdict
 from annotator.session import ChangeObject, SetSymmetry
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -154,7 +154,7 @@ class Dialogs:
 
         if meshes:
             names = ", ".join(mesh.path.name for mesh in meshes[:3])
-            self._c.start(f"Read {names}", measure, finish)
+            self._c.start(f"Read {names}", measure, finish, beside=True)
 
     def _ask_units(
         self,
@@ -196,7 +196,7 @@ class Dialogs:
 
         def react(pressed: str, _: questions.Answers) -> None:
             if pressed == "done" and self._c.selected == name:
-                self._c.mark("done")
+                self._c.mark("done", anyway=True)
 
         if doubts:
             self._ask(label_questions.doubt_question(doubts, react))
@@ -205,8 +205,11 @@ class Dialogs:
 
     def _doubts(self) -> list[tuple[str, str]]:
         c = self._c
-        known = {o.name for o in c.session.state.objects if o.placements}
-        return doubtful_objects(c, [n for n in c.residuals if n in known and n in c.ranks])
+        placed = [o.name for o in c.session.state.objects if o.placements]
+        judged = [
+            n for n in placed if (n in c.residuals and n in c.ranks) or object_verdict(c, n).turned
+        ]
+        return doubtful_objects(c, judged)
 
     def _propagate(self) -> None:
         def react(_: str, answers: questions.Answers) -> None:

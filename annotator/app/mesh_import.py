@@ -146,7 +146,7 @@ def import_meshes(
         controller.tell(f"Added {between.join(report)}")
         then([edit.model.id for edit in edits])
 
-    controller.start(f"Add {names}", work, finish)
+    controller.start(f"Add {names}", work, finish, beside=True)
 
 
 def unit_question(

@@ -257,7 +257,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Fit the selected object: to the sensor depth and the image edges where it is opaque, to "
         "the edges in several frames where the sensor cannot see it.",
         operations.refine,
-        enabled=action.can_compute,
+        enabled=action.can_queue,
     ),
     action.Action(
         "refine_all",
@@ -267,7 +267,9 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Fit all placed objects together.",
         lambda c: operations.refine(c, all_objects=True),
         enabled=lambda c: (
-            c.session.writable and action.is_idle(c) and bool(c.session.state.objects)
+            c.session.writable
+            and (c.task is None or not c.task.alone)
+            and bool(c.session.state.objects)
         ),
     ),
     action.Action(
@@ -293,7 +295,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Align",
         "Take the turn",
         ("Y",),
-        "Turn the object to where its texture fits better, as the last refinement found.",
+        "Turn the object to where its texture fits better, or scores higher.",
         pose_checks.take_turn,
         enabled=pose_checks.can_take_turn,
     ),

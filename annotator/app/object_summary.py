@@ -185,6 +185,10 @@ def next_hint(c: Controller) -> str:
     row = next(r for r in summarize(c) if r.name == obj.name)
     if object_verdict(c, obj.name).turned:
         return f"Another turn of {obj.name} fits the texture better: press Y to take it."
+    texture = c.textures.get(obj.name)
+    if texture is not None and texture.verdict == "undecided" and texture.rival_leads:
+        decides = texture.decides()
+        return f"Another turn of {obj.name} scores higher: {decides}; Y turns it, D keeps it."
     if row.grade == "wrong" and _residual(c.residuals[obj.name])[1] != "wrong":
         return f"{obj.name} is not confirmed: check it in every view, or place it again."
     if row.grade == "wrong":

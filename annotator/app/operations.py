@@ -48,7 +48,15 @@ def refine(controller: Controller, *, all_objects: bool = False) -> None:
     if not names:
         controller.tell("Place an object first: there is nothing to refine.", "warning")
         return
-    perform(controller, f"Refine {listed(names)}", Refine(objects=names, frame=frame), names)
+    title = f"Refine {listed(names)}"
+
+    def begin() -> None:
+        # Objects may have been removed while others were refined.
+        known = {o.name for o in session.state.objects if o.placements}
+        if known.issuperset(names):
+            perform(controller, title, Refine(objects=names, frame=frame), names)
+
+    controller.start_in_turn(title, begin)
 
 
 def snap(controller: Controller, mode: Literal["drop", "rest"]) -> None:
@@ -94,7 +102,7 @@ def perform(
             return
         session.apply(outcome.edit)
         controller.weak_directions.update(outcome.weak_directions)
-        controller.textures.update(outcome.textures)
+        controller.findings.keep_textures(outcome.textures)
         if outcome.textures:
             controller.emit(Event("verdict", objects=tuple(outcome.textures)))
         for line in outcome.warnings:

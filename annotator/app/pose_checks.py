@@ -1,23 +1,25 @@
-"""Checks of poses that the window runs: rank among nearby poses, marking as done, taking a turn."""
+"""Checks of poses that the window runs: ranks, textures, marking as done, taking a turn."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
-from annotator.app.verdicts import object_verdict
-from annotator.session import SetPoses
+from annotator.app.verdicts import measured_verdict, object_verdict
+from annotator.app.view_options import choose_view_frames
+from annotator.session import Session, SetPoses
 from annotator.session.state import ObjectState, Snapshot
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
     from std_toolkit.checks.measure.ranking import PoseRank
+    from std_toolkit.labels.texture.comparison import TextureComparison
 
-RANKS = "Ranks"
+RANKS, TEXTURES = "Ranks", "Textures"
 
 # Dialog that asks before an object is marked as done whose verdict is not good.
 DOUBT = "done_anyway"
@@ -67,6 +69,61 @@ def rank_objects_aside(c: Controller, names: Sequence[str]) -> None:
         )
 
 
+def compare_textures_aside(
+    c: Controller, *, delay: float = 0.0, failed: frozenset[str] = frozenset()
+) -> None:
+    """Compare the textures of all objects that were not compared at their pose, in the background.
+
+    The selected object comes first; each finding is shown when it is there.
+
+    Args:
+        delay: seconds to wait first.
+        failed: names of objects that cannot be compared.
+    """
+    left = [n for n in c.findings.uncompared() if n not in failed]
+    names = sorted(left, key=lambda n: n != c.selected)
+    if not names:
+        return
+    snapshot, frame, objects = c.session.snapshot(), c.active_frame, [c.session.object(names[0])]
+
+    def finish(found: dict[str, TextureComparison]) -> None:
+        _keep_textures(c, objects, found)
+        compare_textures_aside(c, failed=failed if found else failed | {names[0]})
+
+    c.start_aside(
+        TEXTURES, lambda task: _compare(snapshot, names[:1], frame, task), finish, delay=delay
+    )
+
+
+def _compare(
+    snapshot: Snapshot, names: Sequence[str], frame: int, task: Task
+) -> dict[str, TextureComparison]:
+    from annotator.session.textures import compare_textures
+
+    return compare_textures(snapshot, names, frame, cancelled=lambda: task.cancelled)
+
+
+def _unmoved(c: Controller, objects: Sequence[ObjectState]) -> list[ObjectState]:
+    """Those objects that were not changed meanwhile, apart from status and note."""
+    now = {o.name: o for o in c.session.state.objects}
+    return [
+        o
+        for o in objects
+        if (n := now.get(o.name)) is not None
+        and (n.placements, n.model, n.material) == (o.placements, o.model, o.material)
+    ]
+
+
+def _keep_textures(
+    c: Controller, objects: Sequence[ObjectState], found: dict[str, TextureComparison]
+) -> None:
+    """Store comparisons of objects that did not move meanwhile."""
+    kept = [o.name for o in _unmoved(c, objects) if o.name in found]
+    c.findings.keep_textures({name: found[name] for name in kept})
+    if kept:
+        c.emit(Event("verdict", objects=tuple(kept)))
+
+
 def _keep(
     c: Controller,
     objects: Sequence[ObjectState],
@@ -74,8 +131,7 @@ def _keep(
     rows: dict[int, list[FrameResidual]],
 ) -> None:
     """Store results of objects that did not move meanwhile."""
-    now = {o.name: o.placements for o in c.session.state.objects}
-    kept = [o for o in objects if now.get(o.name) == o.placements]
+    kept = _unmoved(c, objects)
     c.ranks |= {o.name: ranks[o.id] for o in kept if o.id in ranks}
     c.residuals |= {o.name: rows[o.id] for o in kept if o.id in rows}
     c.unmeasured -= {o.name for o in kept if o.id in rows}
@@ -92,30 +148,40 @@ def toggle_done(c: Controller) -> None:
     name = c.selected
     if name is None:
         return
+    grade = object_verdict(c, name).grade
+    known = name in c.residuals and name in c.ranks and name not in c.findings.uncompared()
     if c.session.object(name).status == "done":
         c.mark("open")
-    elif DOUBT not in c.dialogs or object_verdict(c, name).grade == "fits":
+    elif DOUBT not in c.dialogs or grade == "fits":
         c.mark("done")
-    elif name in c.residuals and name in c.ranks:
+    elif known or grade in ("doubtful", "wrong"):
         c.ask(DOUBT)
     else:
         _measure_then_mark(c, name)
 
 
 def _measure_then_mark(c: Controller, name: str) -> None:
-    snapshot, frames = c.session.snapshot(), list(dict.fromkeys(c.view_frames))
+    snapshot, frame = c.session.snapshot(), c.active_frame
+    frames = list(dict.fromkeys(c.view_frames))
     objects = [snapshot.object(name)]
+    uncompared = [n for n in c.findings.uncompared() if n == name]
 
-    def work(task: Task) -> tuple[dict[int, list[FrameResidual]], dict[int, PoseRank]]:
-        rows = measure_objects(snapshot, objects, frames, task)
-        return rows, _rank(snapshot, objects, frames, task)
+    def work(task: Task) -> tuple[Any, Any, Any]:
+        return (
+            _compare(snapshot, uncompared, frame, task),
+            _rank(snapshot, objects, frames, task),
+            measure_objects(snapshot, objects, frames, task),
+        )
 
-    def finish(found: tuple[dict[int, list[FrameResidual]], dict[int, PoseRank]]) -> None:
-        rows, ranks = found
+    def finish(found: tuple[Any, Any, Any]) -> None:
+        textures, ranks, rows = found
+        _keep_textures(c, objects, textures)
         _keep(c, objects, ranks, rows)
-        if c.selected != name or name not in c.ranks:
-            return
-        if object_verdict(c, name).grade == "fits":
+        if not _unmoved(c, objects):
+            c.tell(f"{name} was changed meanwhile, so it is not marked as done.", "warning")
+        elif c.selected != name:
+            c.tell(f"{name} is not selected any more, so it is not marked as done.", "warning")
+        elif object_verdict(c, name).grade == "fits":
             c.mark("done")
         else:
             c.ask(DOUBT)
@@ -123,20 +189,36 @@ def _measure_then_mark(c: Controller, name: str) -> None:
     c.start(f"Check {name}", work, finish)
 
 
+def doubt(session: Session, name: str) -> str:
+    """Measure an object as the window does; returns why it is not known to fit, or ""."""
+    from annotator.session.textures import compare_textures
+
+    snapshot, obj = session.snapshot(), session.object(name)
+    frames = list(dict.fromkeys([*obj.placements, *choose_view_frames(session.scene, session)]))
+    task = Task(f"Check {name}")
+    rows = measure_objects(snapshot, [obj], frames, task).get(obj.id, [])
+    rank = _rank(snapshot, [obj], frames, task).get(obj.id)
+    texture = compare_textures(snapshot, [name], frames[0]).get(name)
+    verdict = measured_verdict(rows, rank, texture)
+    return "" if verdict.grade == "fits" else verdict.text
+
+
 def can_take_turn(c: Controller) -> bool:
-    """Whether another turn of the selected object fits the texture better."""
+    """Whether the texture of the selected object fits better, or scores higher, after a turn."""
     found = c.textures.get(c.selected or "")
     return (
         found is not None
-        and found.verdict == "turned"
         and found.turn is not None
+        and (found.verdict == "turned" or (found.verdict == "undecided" and found.rival_leads))
         and c.session.writable
         and c.session.pose(str(c.selected), c.active_frame) is not None
     )
 
 
 def take_turn(c: Controller) -> None:
-    """Turn the selected object to where its texture fits better, as one edit."""
+    """Turn the selected object to where its texture fits better, as one edit; see
+    `can_take_turn`.
+    """
     if not can_take_turn(c):
         return
     name, frame = str(c.selected), c.active_frame

@@ -45,8 +45,12 @@ class Task:
 class Runner(Protocol):
     """Runs work outside the front end's thread and calls `done` in that thread."""
 
-    def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
-        """Run a computation that the user started."""
+    def submit(self, task: Task, work: WorkFunction, done: Done, *, beside: bool = False) -> None:
+        """Run a computation that the user started.
+
+        Args:
+            beside: do not wait for one that runs.
+        """
 
     def submit_aside(
         self, key: str, task: Task, work: WorkFunction, done: Done, *, delay: float = 0.0
@@ -64,7 +68,14 @@ class Runner(Protocol):
 class InlineRunner:
     """Runs work immediately in the caller's thread, for scripts and tests."""
 
-    def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
+    def submit(
+        self,
+        task: Task,
+        work: WorkFunction,
+        done: Done,
+        *,
+        beside: bool = False,  # noqa: ARG002  nothing waits
+    ) -> None:
         done(*_outcome(task, work))
 
     def submit_aside(  # nothing waits, so nothing is replaced
@@ -80,7 +91,7 @@ class InlineRunner:
 
 
 class ThreadRunner:
-    """Two threads, one for each kind of work, started when first needed.
+    """Three threads, one for each kind of work, started when first needed.
 
     Args:
         deliver: schedules a function in the front end's thread; callable from any thread, such
@@ -89,14 +100,15 @@ class ThreadRunner:
 
     def __init__(self, deliver: Callable[[Callable[[], None]], None]) -> None:
         self._deliver = deliver
-        self._lanes = [_Lane("annotator-work"), _Lane("annotator-aside")]
+        self._lanes = [_Lane(f"annotator-{kind}") for kind in ("work", "aside", "beside")]
         self._aside: dict[str, Task] = {}
         self._count = 0
         self._closed = False
 
-    def submit(self, task: Task, work: WorkFunction, done: Done) -> None:
+    def submit(self, task: Task, work: WorkFunction, done: Done, *, beside: bool = False) -> None:
         self._count += 1
-        self._lanes[0].put(f"{self._count}", 0.0, lambda: self._run(task, work, done))
+        lane = self._lanes[2 if beside else 0]
+        lane.put(f"{self._count}", 0.0, lambda: self._run(task, work, done))
 
     def submit_aside(
         self, key: str, task: Task, work: WorkFunction, done: Done, *, delay: float = 0.0
@@ -196,6 +208,19 @@ class Work:
         self._emit = emit
         self._reported: dict[str, str] = {}
         self._aside: dict[str, Task] = {}
+        self._waiting: dict[str, Callable[[], object]] = {}
+
+    def start_in_turn(self, title: str, begin: Callable[[], object]) -> None:
+        """Call `begin`, which starts a computation, now or when those before it are done.
+
+        Args:
+            title: displayed name; one that waits already is not put in again.
+        """
+        if self.task is None:
+            begin()
+        elif title not in self._waiting and title != self.task.title:
+            self._waiting[title] = begin
+            self._tell(f"{title} starts after {self.task.title}.")
 
     def start(
         self,
@@ -204,21 +229,27 @@ class Work:
         finish: Callable[[Any], None],
         *,
         alone: bool = False,
+        beside: bool = False,
     ) -> Task | None:
         """Run `work(task)` in the background, then `finish(result)` here; one at a time.
 
         Args:
             alone: block edits meanwhile; see `Task`.
+            beside: run it beside one that runs already, unless that one blocks edits.
         """
-        if self.task is not None:
+        if self.task is not None and (self.task.alone or not beside):
             self._tell(f"{self.task.title} is still running.", "warning")
             return None
-        task = self.task = Task(title, alone=alone)
-        self._emit(Event("busy", text=title))
+        task = Task(title, alone=alone)
+        beside = self.task is not None
+        if not beside:
+            self.task = task
+            self._emit(Event("busy", text=title))
 
         def done(result: Any, error: Exception | None) -> None:
-            self.task = None
-            self._emit(Event("busy"))
+            if not beside:
+                self.task = None
+                self._emit(Event("busy"))
             if task.cancelled:
                 self._tell(f"{title}: cancelled, nothing was changed.")
             elif isinstance(error, ToolkitError):
@@ -227,9 +258,16 @@ class Work:
                 self._tell(f"{title} failed: {type(error).__name__}: {error}", "error")
             else:
                 self._finish(finish, result)
+            self._go_on()
 
-        self._runner.submit(task, lambda: work(task), done)
+        options = {"beside": True} if beside else {}
+        self._runner.submit(task, lambda: work(task), done, **options)
         return task
+
+    def _go_on(self) -> None:
+        """Start what waits, unless something else was started."""
+        while self.task is None and self._waiting:
+            self._waiting.pop(next(iter(self._waiting)))()
 
     def start_aside(
         self,

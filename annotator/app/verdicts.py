@@ -83,12 +83,8 @@ def object_verdict(c: Controller, name: str) -> Verdict:
     """Return the verdict on an object from what is known of its current pose."""
     if c.session.pose(name, c.active_frame) is None:
         return Verdict("unknown", f"{name} has no pose yet.")
-    texture = c.textures.get(name)
-    if texture is not None and texture.verdict == "turned":
-        text = f"Wrong turn: {texture.sentence()}. Press Y to take it."
-        return Verdict("wrong", text, turned=True)
-    rows = c.residuals.get(name, ())
-    if not rows:
+    rows, texture = c.residuals.get(name, ()), c.textures.get(name)
+    if not rows and (texture is None or texture.verdict != "turned"):
         return Verdict("unknown", f"Not measured since {name} moved.")
     return measured_verdict(rows, c.ranks.get(name), texture)
 
@@ -99,8 +95,12 @@ def measured_verdict(
     """Return the verdict on a pose by its residuals, rank and texture; None: not known yet.
 
     It is good only if the pose beats the nearby ones, if a majority of the frames in which the
-    contour is visible says so, and if no frame is clearly off.
+    contour is visible says so, if no frame is clearly off, and if its texture, where it has one,
+    is confirmed. A turn that neither texture nor silhouette can tell is named.
     """
+    if texture is not None and texture.verdict == "turned":
+        text = f"Wrong turn: {texture.sentence()}. Press Y to take it."
+        return Verdict("wrong", text, turned=True)
     visible = [r for r in rows if not r.problem]
     if not visible:
         return Verdict("unknown", "It is visible in none of these frames.")
@@ -131,12 +131,28 @@ def measured_verdict(
     if 2 * len(telling) <= total:
         text = f"{total - len(telling)} of {total} frames are at chance level: check by eye. {said}"
         return Verdict("unknown", text)
+    if texture is None:
+        return Verdict("unknown", f"Its texture is being compared with the images. {said}")
+    seen = f"{texture.sentence()[:1].upper()}{texture.sentence()[1:]}."
+    if texture.verdict == "other":
+        return Verdict("wrong", f"{seen} {said}")
+    if texture.rival_leads:
+        seen += " Press Y to turn it there."
     if any(grade_row(r) == "doubtful" for r in visible):
-        return Verdict("doubtful", f"Close, but not exact. {said}")
-    also = ""
-    if texture is not None and texture.verdict in ("fits", "ambiguous"):
-        also = f" {texture.sentence()[:1].upper()}{texture.sentence()[1:]}."
+        unsure = f" {seen}" if texture.verdict == "undecided" and texture.textured else ""
+        return Verdict("doubtful", f"Close, but not exact.{unsure} {said}")
+    if texture.verdict == "undecided" and texture.textured:
+        return Verdict("unknown", f"{seen} {said}")
+    also = f" {seen}" if texture.textured else ""
+    if texture.verdict == "ambiguous":
+        also = f" The turn{_axis(texture.text)} is not determined: geometry cannot tell it."
     return Verdict("fits", f"It fits. {said}{also}")
+
+
+def _axis(turn: str) -> str:
+    """Words such as " about z" of "turned by 180 deg about z"; "" of a turn about two axes."""
+    axis = turn.partition(" about ")[2]
+    return f" about {axis}" if axis and ", then " not in turn else ""
 
 
 def doubtful_objects(c: Controller, names: Sequence[str]) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -50,6 +50,9 @@ class Redo(Document, frozen=True, kw_only=True, tag_field="edit", tag="redo"):
 Command = Save | Propagate | Undo | Redo
 Step = edits.AnyEdit | AnyRequest | Command
 
+# Says why an object of a session is not known to fit; "" if it fits.
+Doubt = Callable[[Session, str], str]
+
 
 def read_script(path: Path | str, scene: Scene | None = None) -> list[Step]:
     """Read and validate the steps of a script file.
@@ -78,11 +81,14 @@ def read_script(path: Path | str, scene: Scene | None = None) -> list[Step]:
     return steps
 
 
-def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterator[str]:
+def run_script(
+    session: Session, steps: list[Step], path: Path | str, *, doubt: Doubt | None = None
+) -> Iterator[str]:
     """Execute the steps; yields lines of text.
 
     Args:
         path: path of the script, for messages; mesh paths are relative to its folder.
+        doubt: asked before an object is marked as done without `anyway`; None: not asked.
 
     Raises:
         ToolkitError: a step fails; its index is named. Later steps are not executed, and unsaved
@@ -95,6 +101,8 @@ def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterato
                 if frame not in described:
                     described.add(frame)
                     yield f"[{index}] {frame_title(session.scene.frame(frame))}"
+            if doubt is not None and isinstance(step, edits.ChangeObject):
+                _refuse_doubt(session, step, doubt)
             for line in _carry_out(session, step, Path(path)):
                 yield f"[{index}] {line}"
         except ToolkitError as error:
@@ -110,10 +118,33 @@ def run_script(session: Session, steps: list[Step], path: Path | str) -> Iterato
             ) from error
 
 
+def _refuse_doubt(session: Session, step: edits.ChangeObject, doubt: Doubt) -> None:
+    """Raise an error if a step marks an object as done that is not known to fit."""
+    if step.status != "done" or step.anyway:
+        return
+    obj = session.object(step.object)
+    reason = doubt(session, obj.name) if obj.status != "done" and obj.placements else ""
+    if reason:
+        raise ToolkitError(
+            f"{obj.name} is not known to fit: {reason}",
+            field="status",
+            value="done",
+            hint='give "anyway": true if you have checked it by eye',
+        )
+
+
 def run(
-    scene: Path, script: Path, *, annotator: str | None, recover: Literal["ask", "yes", "no"]
+    scene: Path,
+    script: Path,
+    *,
+    annotator: str | None,
+    recover: Literal["ask", "yes", "no"],
+    doubt: Doubt | None = None,
 ) -> int:
     """`std-annotate SCENE --script FILE`: prints a line for every step; exit status 0.
+
+    Args:
+        doubt: see `run_script`.
 
     Raises:
         ToolkitError: a step fails, or there are unsaved edits of an earlier session.
@@ -130,7 +161,7 @@ def run(
             logger.warning("%s", warning)
         recovered = session.unsaved
         try:
-            for line in run_script(session, steps, script):
+            for line in run_script(session, steps, script, doubt=doubt):
                 print(line)
         except ToolkitError:
             # Edits of the script need no recovery, because it can be run again. Recovered manual

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.result import CheckReport, ObjectCheck, Value
-from std_toolkit.options import CheckOptions
 from std_toolkit.scene.judgement import Evidence, Judgement
 from std_toolkit.scene.label_verdicts import judgement_inputs
 from std_toolkit.scene.model import Label, Labels
@@ -22,7 +21,7 @@ _CAUSES = {
 }
 
 
-def store_judgements(scene: Scene, report: CheckReport, options: CheckOptions) -> None:
+def store_judgements(scene: Scene, report: CheckReport) -> None:
     """Write the judgements of a report into labels.json, if they are new.
 
     The report belongs to the labels of the scene, and the caller holds the lock of the scene.
@@ -35,7 +34,7 @@ def store_judgements(scene: Scene, report: CheckReport, options: CheckOptions) -
         item = rows.get(label.object)
         judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
         if item is not None and label.T_world_obj is not None:
-            judgement = judgement_of(item, report, options, label, inputs[label.object], now)
+            judgement = judgement_of(item, report, label, inputs[label.object], now)
         labels.append(msgspec.structs.replace(label, judgement=_kept(label, judgement)))
     if labels != scene.labels.labels:
         scene.save_labels(Labels(labels=labels))
@@ -44,7 +43,6 @@ def store_judgements(scene: Scene, report: CheckReport, options: CheckOptions) -
 def judgement_of(
     item: ObjectCheck,
     report: CheckReport,
-    options: CheckOptions,
     label: Label,
     inputs: str,
     time: str,
@@ -54,7 +52,6 @@ def judgement_of(
     Args:
         item: its row in the report.
         report: the report.
-        options: limits.
         label: its label, with a pose in the world.
         inputs: digest of what was measured; see `judgement_inputs`.
         time: when it was measured, UTC, ISO 8601.

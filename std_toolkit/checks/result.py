@@ -185,8 +185,8 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             largest_step_deg: view directions.
             completeness: fraction of the ground-truth pixels with sensor depth.
             raw_median_mm, raw_mae_mm, raw_rmse_mm: raw minus ground-truth depth.
-            support, label_support: part of the contour on edges, of what chance leaves, at the motion
-            and at the label; the text of the first is "seen", "loose" (other poses are as likely),
+            support, label_support: part of the contour on edges, of what chance leaves, at the
+            motion and at the label; the text is "seen", "loose" (other poses are as likely),
             "aside" (edges nearby fit another pose better), "faint" or "absent".
             texture_mm: translation and rotation from the label to where the texture agrees with the
             images.

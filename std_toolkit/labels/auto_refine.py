@@ -28,7 +28,10 @@ from std_toolkit.labels.refine.problem import (
     RefineOptions,
     sub_progress,
 )
-from std_toolkit.labels.texture.comparison import TextureComparison, compare_texture
+from std_toolkit.labels.refine_step import left_out_sentences
+from std_toolkit.labels.texture.comparison import TextureComparison
+from std_toolkit.labels.texture.views import Views
+from std_toolkit.labels.texture_step import compare_objects, scene_views
 from std_toolkit.scene.scene import Scene
 from std_toolkit.settings import Settings, limit
 
@@ -98,11 +101,13 @@ class RefineOutcome:
         objects: refined objects, by id.
         failures: reasons by id of objects that were not refined; they keep their poses.
         posed: whether the poses are in the world; otherwise in the camera of the only frame.
+        left_out: one sentence per frame that cannot be read.
     """
 
     objects: dict[int, RefinedPose]
     failures: dict[int, ToolkitError]
     posed: bool
+    left_out: tuple[str, ...] = ()
 
 
 class RefineCancelled(Exception):
@@ -149,11 +154,12 @@ def refine_objects(
     problem = refine_inputs.auto_problem(
         scene, poses, chosen, frames=frames, keyframes=keyframes, always=always, mesh=mesh
     )
-    run = _Run(problem, method, progress or (lambda _: None), cancelled or (lambda: False))
+    run = _Run(scene, problem, method, progress or (lambda _: None), cancelled or (lambda: False))
     run.go(chosen)
     if not run.found:
         raise next(iter(run.failures.values()))
-    return RefineOutcome(run.found, run.failures, problem.posed)
+    left_out = left_out_sentences(scene, problem.left_out)
+    return RefineOutcome(run.found, run.failures, problem.posed, tuple(left_out))
 
 
 class _Run:
@@ -161,12 +167,13 @@ class _Run:
 
     def __init__(
         self,
+        scene: Scene,
         problem: refine_inputs.AutoProblem,
         method: Method,
         progress: Callable[[float], None],
         cancelled: Callable[[], bool],
     ) -> None:
-        self._problem, self._method = problem, method
+        self._scene, self._problem, self._method = scene, problem, method
         self._progress, self._cancelled = progress, cancelled
         self._reported = 0.0
         self._layers = LayerStore()
@@ -292,14 +299,15 @@ class _Run:
             self.failures[i] = error
 
     def _compare_textures(self) -> None:
-        """Judge the texture at each refined pose."""
+        """Judge the texture at each refined pose, in all frames that have a camera pose."""
         poses = {i: found.pose for i, found in self.found.items()}
         objects = self._problem.placed(poses)
-        views = [*self._problem.views, *self._problem.texture_views]
+        views = Views.of(self._problem.views)
+        if self._problem.posed:
+            views = scene_views(self._scene, loaded=self._problem.views)
         for done, (i, found) in enumerate(self.found.items()):
             self._report(_COMPARED + (1 - _COMPARED) * done / len(self.found))
-            others = [o for k, o in objects.items() if k != i]
-            judged = compare_texture(views, objects[i], others)
+            judged = compare_objects(views, objects, [i])[i]
             warnings = found.warnings
             if judged.verdict == "turned":
                 warnings += (judged.sentence(),)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.surface_colors import SurfaceColors
+from std_toolkit.labels.keyframes import choose_keyframes
 from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
 from std_toolkit.labels.refine_step import (
-    choose_keyframes,
     load_texture_views,
     load_views,
     scene_object,
@@ -58,12 +58,14 @@ class AutoProblem:
         objects: objects by id, at their start poses; chosen ones with the colours of their meshes.
         posed: whether the coordinate frame is the world; otherwise the camera of the only view.
         texture_views: more images, for the textures of the chosen objects.
+        left_out: errors of the frames that cannot be read, by frame id.
     """
 
     views: list[RefineView]
     objects: dict[int, RefineObject]
     posed: bool
     texture_views: list[RefineView] = field(default_factory=list)
+    left_out: dict[int, ToolkitError] = field(default_factory=dict)
 
     @property
     def has_depth(self) -> bool:
@@ -99,7 +101,8 @@ def auto_problem(
                 field=scene.objects.object(object_id).name,
                 hint="align it with its image first",
             )
-    views, posed = _views(scene, poses, chosen, frames, keyframes, always)
+    left_out: dict[int, ToolkitError] = {}
+    views, posed = _views(scene, poses, chosen, frames, keyframes, always, left_out)
     objects = {
         i: _object(scene, i, T, mesh or scene.mesh, colors=i in chosen)
         for i, T in sorted(poses.items())
@@ -107,8 +110,9 @@ def auto_problem(
     more: list[RefineView] = []
     if posed and frames is None:
         textured = {i: poses[i] for i in chosen if objects[i].texture is not None}
-        more = load_texture_views(scene, textured, [v.frame for v in views])
-    return AutoProblem(views, objects, posed, more)
+        loaded = [*(v.frame for v in views), *left_out]
+        more = load_texture_views(scene, textured, loaded, left_out=left_out)
+    return AutoProblem(views, objects, posed, more, left_out)
 
 
 def _views(
@@ -118,6 +122,7 @@ def _views(
     frames: Sequence[int] | None,
     keyframes: int,
     always: Sequence[int],
+    left_out: dict[int, ToolkitError],
 ) -> tuple[list[RefineView], bool]:
     metric = _is_metric(scene)
     if frames is None:
@@ -136,11 +141,11 @@ def _views(
                 path=scene.root,
                 hint="align the object with its image first",
             )
-        return load_views(scene, picked), True
+        return load_views(scene, picked, left_out=left_out), True
     named = [scene.frame(i) for i in dict.fromkeys(frames)]
     registered = [f for f in named if metric and scene.T_world_cam(f.id) is not None]
     if registered:
-        return load_views(scene, registered), True
+        return load_views(scene, registered, left_out=left_out), True
     if len(named) != 1:
         raise ToolkitError(
             "without camera poses in metres, refinement needs exactly one frame",

@@ -1,27 +1,27 @@
-"""Refinement of the labels of a scene, and the selection of its keyframes.
-
-Keyframes are spread over the viewpoints, are sharp and show the objects.
-"""
+"""Refinement of the labels of a scene, and the reading of its inputs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3
+from std_toolkit.labels.keyframes import choose_keyframes
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refined_scale import MeasuredScale
 from std_toolkit.labels.texture.comparison import compare_texture
 from std_toolkit.log import logger
 from std_toolkit.rendering.texture import TexturedSurface
+from std_toolkit.scene.frame_names import frame_title
 from std_toolkit.scene.model import Frame, Label, annotated_views, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -30,12 +30,6 @@ if TYPE_CHECKING:
 
 # Frames in which the texture of an object is matched.
 _TEXTURE_VIEWS = 32
-
-# Number of frames around a viewpoint from which the sharpest is used.
-_CANDIDATES = 3
-
-# Number of keyframes that should show each object, if the recording has as many.
-_VIEWS_PER_OBJECT = 4
 
 
 @dataclass(frozen=True)
@@ -100,7 +94,8 @@ def refine_labels(
         count=keyframes,
         always=sorted({f for x in placed.values() for f in annotated_views(x)}),
     )
-    views = load_views(scene, frames, use_depth=use_depth)
+    left_out: dict[int, ToolkitError] = {}
+    views = load_views(scene, frames, use_depth=use_depth, left_out=left_out)
     objects = [
         replace(
             scene_object(scene, i, start[i], fixed=i not in placed),
@@ -113,7 +108,9 @@ def refine_labels(
         for i in sorted(everything)
     ]
     textured = {i: start[i] for i, o in zip(sorted(everything), objects, strict=True) if o.texture}
-    texture_views = load_texture_views(scene, textured, [v.frame for v in views])
+    texture_views = load_texture_views(scene, textured, [f.id for f in frames], left_out=left_out)
+    for line in left_out_sentences(scene, left_out):
+        logger.warning("%s", line)
     result = refine_poses(
         views,
         objects,
@@ -169,27 +166,57 @@ def refine_labels(
 
 
 def load_views(
-    scene: Scene, frames: list[Frame], *, use_depth: bool = True
+    scene: Scene,
+    frames: Sequence[Frame],
+    *,
+    use_depth: bool = True,
+    left_out: dict[int, ToolkitError] | None = None,
 ) -> list[problem.RefineView]:
-    """The frames as inputs of a refinement; all must be registered."""
+    """The frames as inputs of a refinement; all must be registered.
+
+    Args:
+        left_out: receives the errors of frames that cannot be read, by frame id; None raises the
+            first one.
+
+    Raises:
+        ToolkitError: a frame, or with `left_out` every frame, cannot be read.
+    """
     assert scene.poses is not None
     covariances = {p.frame: p.covariance for p in scene.poses.frames if p.covariance is not None}
     views = []
     for frame in frames:
         T_world_cam = scene.T_world_cam(frame.id)
         assert T_world_cam is not None
+        try:
+            color = scene.read_color(frame)
+            depth = scene.read_depth(frame) if use_depth else None
+        except ToolkitError as error:
+            if left_out is None:
+                raise
+            left_out[frame.id] = error
+            continue
         known = covariances.get(frame.id)
         views.append(
             problem.RefineView.of(
                 scene.camera(frame),
                 T_world_cam,
-                scene.read_color(frame),
-                scene.read_depth(frame) if use_depth else None,
+                color,
+                depth,
                 frame=frame.id,
                 pose_covariance=None if known is None else np.reshape(known, (6, 6)),
             )
         )
+    if left_out and frames and not views:
+        raise left_out[frames[0].id]
     return views
+
+
+def left_out_sentences(scene: Scene, left_out: Mapping[int, ToolkitError]) -> list[str]:
+    """One sentence per frame that was left out, with its file and the reason."""
+    return [
+        f"{frame_title(scene.frame(i))} is left out: {error.problem}"
+        for i, error in sorted(left_out.items())
+    ]
 
 
 def texture_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> TexturedSurface | None:
@@ -201,13 +228,18 @@ def texture_surface(scene: Scene, object_id: int, mesh: trimesh.Trimesh) -> Text
 
 
 def load_texture_views(
-    scene: Scene, objects: Mapping[int, SE3], loaded: Sequence[int]
+    scene: Scene,
+    objects: Mapping[int, SE3],
+    loaded: Sequence[int],
+    *,
+    left_out: dict[int, ToolkitError],
 ) -> list[problem.RefineView]:
     """More frames in which the textures of objects are matched, without depth.
 
     Args:
         objects: T_world_obj of the objects with a texture, by id.
         loaded: ids of the frames that are loaded anyway.
+        left_out: receives the errors of frames that cannot be read, by frame id.
     """
     frames = [f for f in scene.registered_frames() if f.id not in set(loaded)]
     cameras = [scene.camera(f) for f in frames]
@@ -226,7 +258,12 @@ def load_texture_views(
         kept = [
             kept[k] for k in np.linspace(0, len(kept) - 1, 2 * _TEXTURE_VIEWS).round().astype(int)
         ]
-    return load_views(scene, [frames[k] for k in kept], use_depth=False)
+    views = []
+    for k in kept:
+        # These frames only add to others, so that none of them need be readable.
+        with suppress(ToolkitError):
+            views += load_views(scene, [frames[k]], use_depth=False, left_out=left_out)
+    return views
 
 
 def scene_object(
@@ -278,102 +315,3 @@ def _report(result: problem.RefineResult) -> None:
         logger.info(
             "scale of the camera poses: factor %.4f +- %.4f", result.scale, result.scale_std
         )
-
-
-def choose_keyframes(
-    scene: Scene, objects: Mapping[int, SE3], *, count: int, always: Sequence[int] = ()
-) -> list[Frame]:
-    """Registered frames from viewpoints far apart, in recording order.
-
-    Args:
-        objects: T_world_obj by object id: frames that show none of them are skipped, and frames
-            are added until each object is in view in four of them, if the recording allows it.
-        count: number of frames.
-        always: ids of frames to use in any case, if they are registered.
-    """
-    frames = scene.registered_frames()
-    centres = [T @ _centre(scene, i) for i, T in objects.items()]
-    seen = np.array([_in_view(scene, f, centres) for f in frames]).reshape(len(frames), -1)
-    usable = [i for i in range(len(frames)) if seen[i].any()]
-    if len(usable) <= count:
-        return [frames[i] for i in usable]
-    target = np.mean([T.t for T in objects.values()], axis=0)
-    where = np.stack([_viewpoint(scene, frames[i], target) for i in usable])
-    forced = [k for k, i in enumerate(usable) if frames[i].id in set(always)]
-    picks = _spread(where, count, forced)
-    chosen = {usable[k] for k in forced}
-    for k in picks:
-        if k not in forced:
-            near = np.argsort(np.linalg.norm(where - where[k], axis=1), kind="stable")
-            taken = {usable[j] for j in near[:_CANDIDATES]} - chosen
-            chosen.add(
-                max(sorted(taken), key=lambda i: _sharpness(scene, frames[i]), default=usable[k])
-            )
-    for column in range(seen.shape[1]):
-        mine = [i for i in usable if seen[i, column] and i not in chosen]
-        missing = _VIEWS_PER_OBJECT - sum(seen[i, column] for i in chosen)
-        while missing > 0 and mine:
-            taken_at = np.stack([_viewpoint(scene, frames[i], target) for i in sorted(chosen)])
-            far = max(
-                mine,
-                key=lambda i: float(
-                    np.linalg.norm(taken_at - _viewpoint(scene, frames[i], target), axis=1).min()
-                ),
-            )
-            chosen.add(far)
-            mine.remove(far)
-            missing -= 1
-    return [frames[i] for i in sorted(chosen)]
-
-
-def _viewpoint(scene: Scene, frame: Frame, target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Direction from the objects to the camera, including distance."""
-    T = scene.T_world_cam(frame.id)
-    assert T is not None
-    ray = T.t - target
-    distance = float(np.linalg.norm(ray))
-    return np.append(ray / max(distance, 1e-9), 0.5 * np.log(max(distance, 1e-3)))
-
-
-def _in_view(scene: Scene, frame: Frame, centres: Sequence[NDArray[np.float64]]) -> list[bool]:
-    """Whether the frame shows each of the world points."""
-    camera, T_world_cam = scene.camera(frame).without_distortion(), scene.T_world_cam(frame.id)
-    assert T_world_cam is not None
-    T_cam_world = T_world_cam.inverse()
-    flags = []
-    for centre in centres:
-        p = T_cam_world @ centre
-        if p[2] <= 0.05:
-            flags.append(False)
-            continue
-        uv = camera.project(p)
-        flags.append(bool((uv >= 0).all() and (uv < camera.size).all()))
-    return flags
-
-
-def _centre(scene: Scene, object_id: int) -> NDArray[np.float64]:
-    """Centre of an object's bounding box, mesh frame."""
-    return mesh_bounds(scene.mesh(scene.objects.object(object_id).model)).mean(axis=0)
-
-
-def _spread(where: NDArray[np.float64], count: int, start: list[int]) -> list[int]:
-    """Farthest-point sampling; deterministic."""
-    picks = list(start)
-    if not picks:
-        centre = where.mean(axis=0)
-        picks = [int(np.argmax(np.linalg.norm(where - centre, axis=1)))]
-    distance = np.min([np.linalg.norm(where - where[k], axis=1) for k in picks], axis=0)
-    while len(picks) < count:
-        k = int(np.argmax(distance))
-        if distance[k] <= 0:
-            break
-        picks.append(k)
-        distance = np.minimum(distance, np.linalg.norm(where - where[k], axis=1))
-    return picks
-
-
-def _sharpness(scene: Scene, frame: Frame) -> float:
-    grey = cv2.cvtColor(scene.read_color(frame), cv2.COLOR_RGB2GRAY)
-    height = max(1, round(grey.shape[0] * min(1.0, 480 / grey.shape[1])))
-    small = cv2.resize(grey, (min(480, grey.shape[1]), height), interpolation=cv2.INTER_AREA)
-    return float(cv2.Laplacian(small, cv2.CV_32F).var())

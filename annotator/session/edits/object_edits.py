@@ -169,13 +169,19 @@ class RemoveObject(Edit, frozen=True, kw_only=True, tag="remove_object"):
 
 
 class ChangeObject(Edit, frozen=True, kw_only=True, tag="change_object"):
-    """Changes name, material, status or note of an object; None leaves a field unchanged."""
+    """Changes name, material, status or note of an object; None leaves a field unchanged.
+
+    Attributes:
+        anyway: mark as done though the pose is not known to fit; a script that does without it
+            is refused.
+    """
 
     object: str
     name: str | None = None
     material: Material | None = None
     status: Status | None = None
     note: str | None = None
+    anyway: bool = False
 
     def check(self) -> None:
         if not self._changes:

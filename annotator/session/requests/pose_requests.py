@@ -75,6 +75,7 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             f"{snapshot.scene.objects.object(i).name} keeps its pose: {error}"
             for i, error in found.failures.items()
         ]
+        warnings += [f"{line[:1].upper()}{line[1:]}." for line in found.left_out]
         for refined in found.objects.values():
             frame_of_pose, T_cam_obj = self._placed_in(snapshot, refined, alone)
             changes.append(
@@ -94,6 +95,11 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
             f"{name}: {found.sentence()}; press Y to take that turn"
             for name, found in textures.items()
             if found.verdict == "turned"
+        ]
+        warnings += [
+            f"{name}: {found.sentence()}"
+            for name, found in textures.items()
+            if found.verdict == "other"
         ]
         return Outcome(
             SetPoses(changes=changes, label=self.title), report, warnings, weak, textures

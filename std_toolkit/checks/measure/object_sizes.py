@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.keyframes import choose_keyframes
 from std_toolkit.labels.refine.edges.descent import descend, weigh
 from std_toolkit.labels.refine.edges.measure import PoseState, coarse_to_fine
 from std_toolkit.labels.refine.edges.system import SCALE
 from std_toolkit.labels.refine.problem import RefineObject, RefineOptions
-from std_toolkit.labels.refine_step import choose_keyframes, load_views, scene_object
+from std_toolkit.labels.refine_step import load_views, scene_object
 from std_toolkit.log import logger
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import ScaleEstimate

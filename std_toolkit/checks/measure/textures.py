@@ -11,15 +11,18 @@ from std_toolkit.checks import result
 from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.refine.problem import RefineObject, RefineView, large_views
-from std_toolkit.labels.refine_step import load_views, scene_object, texture_surface
-from std_toolkit.labels.texture.comparison import FRAMES, TextureComparison, compare_texture
+from std_toolkit.labels.refine.problem import RefineObject
+from std_toolkit.labels.refine_step import scene_object, texture_surface
+from std_toolkit.labels.texture.comparison import TextureComparison
 from std_toolkit.labels.texture.motion import TextureMotion, texture_motion
 from std_toolkit.labels.texture.scores import cut_window
+from std_toolkit.labels.texture.views import Views
+from std_toolkit.labels.texture_step import compare_objects, scene_views
 from std_toolkit.scene import Frame, Scene
 
 # Millimetres and degrees of metres and radians.
 _UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
+_MOTION_VIEWS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,45 +63,35 @@ def compare_textures(
         if pose is not None and mesh_problem(scene, item.model) is None:
             placed[item.id] = pose
     objects = {i: scene_object(scene, i, pose) for i, pose in placed.items()}
-    cameras = [scene.camera(f) for f in frames]
-    poses = [T for f in frames if (T := scene.T_world_cam(f.id)) is not None]
-    assert len(poses) == len(frames), "only registered frames can be compared"
-    views: dict[int, RefineView] = {}
+    views = scene_views(scene, frames)
     found = {}
     for i, obj in objects.items():
-        if only is not None and i not in only:
-            continue
-        centre = obj.T_world_obj @ obj.centre
-        chosen = large_views(cameras, poses, centre, obj.radius, count=FRAMES)
-        for k in chosen:
-            if k not in views:
-                (views[k],) = load_views(scene, [frames[k]])
-        others = [o for j, o in objects.items() if j != i]
-        found[i] = _compare(scene, i, obj, others, [views[k] for k in chosen])
+        if only is None or i in only:
+            mesh = scene.mesh(scene.objects.object(i).model)
+            # Textures are large, so that they are kept for one object at a time.
+            textured = replace(obj, texture=texture_surface(scene, i, mesh))
+            (comparison,) = compare_objects(views, {**objects, i: textured}, [i]).values()
+            others = [o for j, o in objects.items() if j != i]
+            found[i] = TextureFinding(comparison, _motion_of(views, textured, others, comparison))
     return found
 
 
-def _compare(
-    scene: Scene,
-    object_id: int,
-    obj: RefineObject,
-    others: Sequence[RefineObject],
-    views: Sequence[RefineView],
-) -> TextureFinding:
-    mesh = scene.mesh(scene.objects.object(object_id).model)
-    surface = texture_surface(scene, object_id, mesh)
-    found = compare_texture(views, replace(obj, texture=surface), others)
-    # The motion to a texture that fits better after a turn, or that is plain, says nothing.
-    if surface is None or found.verdict in ("turned", "ambiguous"):
-        return TextureFinding(found)
-    windows = [
-        (k if v.frame is None else v.frame, window)
-        for k, v in enumerate(views)
-        if (window := cut_window(v, surface, obj.T_world_obj, others)) is not None
-    ]
+def _motion_of(
+    views: Views, obj: RefineObject, others: Sequence[RefineObject], found: TextureComparison
+) -> TextureMotion | None:
+    """The motion from the label to the texture in the views that show it largest."""
+    # A texture that fits better after a turn, or that is not there, says nothing of a motion.
+    if obj.texture is None or found.verdict in ("turned", "ambiguous", "other"):
+        return None
     centre = obj.T_world_obj @ obj.centre
+    windows = []
+    for k in views.large(centre, obj.radius, count=_MOTION_VIEWS):
+        view = views.read(k)
+        window = view and cut_window(view, obj.texture, obj.T_world_obj, others)
+        if window:
+            windows.append((views.frames[k], window))
     free = symmetry_motions(obj.symmetry, obj.T_world_obj, centre)
-    return TextureFinding(found, texture_motion(windows, surface, obj, free=free))
+    return texture_motion(windows, obj.texture, obj, free=free)
 
 
 def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> result.ObjectCheck:

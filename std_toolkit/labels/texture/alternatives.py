@@ -7,9 +7,12 @@ at hand. Symmetries that the model declares are no alternatives.
 
 from __future__ import annotations
 
+import hashlib
+import threading
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import count, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +44,9 @@ _ROUND_STEP_DEG = 20
 
 
 _SILHOUETTE_PX = 64
+
+# Meshes whose alternatives are kept.
+_KEPT = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +117,7 @@ class NearSymmetry:
         self._points = spread_points(vertices, faces, _POINTS)[0]
         self._size = 2 * self._surface.radius
         self._bases = axes_to_try(self._points)
+        self._searching = threading.Lock()
         self._turns: list[Alternative] = []
         self._rest = self._find()
 
@@ -121,9 +128,14 @@ class NearSymmetry:
 
     def each(self) -> Iterator[Alternative]:
         """`turns` one after the other; those not looked at are not searched."""
-        yield from tuple(self._turns)
-        for found in self._rest:
-            self._turns.append(found)
+        for k in count():
+            with self._searching:
+                if k == len(self._turns):
+                    found = next(self._rest, None)
+                    if found is None:
+                        return
+                    self._turns.append(found)
+                found = self._turns[k]
             yield found
 
     def mirrored(self, poses: Sequence[SE3]) -> list[Alternative]:
@@ -219,6 +231,24 @@ class NearSymmetry:
             [np.linalg.norm(self._surface.closest(p)[0] - p, axis=1) for p in (there, back)]
         )
         return turn, float(np.percentile(gaps, 95)) / self._size
+
+
+_known: OrderedDict[tuple[bytes, Symmetry], NearSymmetry] = OrderedDict()
+
+
+def near_symmetry(
+    vertices: Array, faces: NDArray[np.integer], symmetry: Symmetry | None = None
+) -> NearSymmetry:
+    """The alternatives of a mesh, kept for the meshes that were used last; see `NearSymmetry`."""
+    digest = hashlib.sha256(np.ascontiguousarray(vertices)).digest()
+    digest += hashlib.sha256(np.ascontiguousarray(faces)).digest()
+    key = digest, symmetry or Symmetry()
+    found = _known.get(key)
+    if found is None:
+        found = _known[key] = NearSymmetry(vertices, faces, symmetry)
+        while len(_known) > _KEPT:
+            _known.popitem(last=False)
+    return found
 
 
 class _SameTurn:

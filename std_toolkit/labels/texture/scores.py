@@ -20,7 +20,7 @@ from std_toolkit.labels.texture.features import (
     inner_mask,
     strength,
 )
-from std_toolkit.rendering.texture import TexturedSurface
+from std_toolkit.rendering.texture import TexturedSurface, TexturePicture
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # The object's longer side in the pictures that are compared, pixels; a smaller one is not enlarged.
@@ -104,12 +104,14 @@ class TextureScore:
         clarity: 0 to 1, whether the surface in view has a texture at all.
         strength: 0 to 1, how strong the texture in view is.
         visible: fraction of the pixels of the object that are in view.
+        covered: fraction of its pixels that were compared: in view and away from creases.
     """
 
     value: float
     clarity: float
     strength: float
     visible: float
+    covered: float
 
 
 def cut_window(
@@ -163,9 +165,43 @@ def score_view(
     """Score of one pose in one window, offsets of a few pixels corrected; None if too little of
     the object is in view.
     """
+    found = _shown(window, surface, T_world_obj)
+    if found is None:
+        return None
+    drawn, inner, visible = found
+    level = contrast(drawn.color, inner, window.size)
+    value = _aligned_agreement(drawn.color, window, inner)
+    covered = float(inner.sum() / drawn.mask.sum())
+    return TextureScore(value, clarity(level), strength(level), visible, covered)
+
+
+def chance_scores(
+    window: TextureWindow, surface: TexturedSurface, T_world_obj: SE3, *, count: int
+) -> list[float]:
+    """Scores of random textures with the spectrum of the drawn one; none if it is not in view.
+
+    Their phases are random: size and strength of the patches stay, and what they show is lost.
+
+    Args:
+        count: number of textures.
+    """
+    found = _shown(window, surface, T_world_obj)
+    if found is None:
+        return []
+    drawn, inner, _ = found
+    random = np.random.default_rng(0)
+    return [
+        _aligned_agreement(_scrambled(drawn.color, inner, random), window, inner)
+        for _ in range(count)
+    ]
+
+
+def _shown(
+    window: TextureWindow, surface: TexturedSurface, T_world_obj: SE3
+) -> tuple[TexturePicture, NDArray[np.bool_], float] | None:
+    """The drawn mesh, its pixels to compare, and the fraction in view; None if that is little."""
     limits = TextureViewSettings.current()
-    pose = window.T_cam_world @ T_world_obj
-    drawn = surface.draw(window.camera, pose, window=window.box)
+    drawn = surface.draw(window.camera, window.T_cam_world @ T_world_obj, window=window.box)
     if drawn is None or not drawn.mask.any():
         return None
     shown = drawn.mask & (drawn.depth < window.hidden)
@@ -173,8 +209,26 @@ def score_view(
     inner = inner_mask(shown, drawn.normal) & drawn.sound
     if visible < limits.visible or inner.sum() < 100:
         return None
-    limit_px = max(3.0, limits.largest_motion * window.size)
-    taken = aligned(drawn.color, window.color, inner, limit_px=limit_px)
-    level = contrast(drawn.color, inner, window.size)
-    value = agreement(drawn.color, taken, inner, window.size)
-    return TextureScore(value, clarity(level), strength(level), visible)
+    return drawn, inner, visible
+
+
+def _aligned_agreement(
+    color: NDArray[np.float32], window: TextureWindow, inner: NDArray[np.bool_]
+) -> float:
+    """Agreement of a drawn picture with the image, moved to where it fits best."""
+    limit_px = max(3.0, TextureViewSettings.current().largest_motion * window.size)
+    taken = aligned(color, window.color, inner, limit_px=limit_px)
+    return agreement(color, taken, inner, window.size)
+
+
+def _scrambled(
+    color: NDArray[np.float32], mask: NDArray[np.bool_], random: np.random.Generator
+) -> NDArray[np.float32]:
+    """A picture with the amplitudes of `color` within the mask, and random phases."""
+    mean = color[mask].mean(axis=0)
+    centred = np.where(mask[..., None], color - mean, 0)
+    # The phases of a real picture keep the result real.
+    phase = np.exp(1j * np.angle(np.fft.fft2(random.normal(size=mask.shape))))
+    mixed = np.fft.ifft2(np.fft.fft2(centred, axes=(0, 1)) * phase[..., None], axes=(0, 1)).real
+    gain = centred[mask].std() / max(float(mixed[mask].std()), 1e-6)
+    return np.asarray(mixed * gain + mean, dtype=np.float32)

@@ -13,7 +13,8 @@ from desk_without_window import Desk
 from scene_on_disk import write_scene
 
 from annotator.app import mesh_import, operations
-from annotator.session import Move, RemoveObject, SetPoses, Snapshot
+from annotator.app.action_table import BY_ID
+from annotator.session import AddObject, Move, RemoveObject, SetPoses, Snapshot
 from annotator.session.requests import Outcome, Request
 from annotator.session.requests.mesh_requests import Watch
 from std_toolkit.geometry import SE3
@@ -177,3 +178,35 @@ def test_a_conflict_is_asked_about_where_there_is_a_dialog(desk: Desk) -> None:
     assert desk.controller.conflict == "box_1"
     assert operations.save(desk.controller, on_conflict="theirs")
     assert desk.session.object("box_1").placements[0].T_cam_obj == ELSEWHERE.flat()
+
+
+def test_refinements_wait_for_each_other(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    c = desk.controller
+    c.apply(AddObject(object="box_2", model="box"))
+    c.apply(SetPoses.one("box_2", 0, ELSEWHERE, method="typed"))
+    begun = []
+
+    def perform(_: object, title: str, request: object, names: list[str]) -> None:
+        del request
+        begun.append((title, names))
+        c.start(title, lambda _: GO_ON.wait(30), lambda _: None)
+
+    monkeypatch.setattr(operations, "perform", perform)
+    for name in ("box_1", "box_2", "box_2"):
+        c.select(name)
+        assert BY_ID["refine"].enabled(c)
+        BY_ID["refine"].run(c)
+    assert begun == [("Refine box_1", ["box_1"])]
+    assert desk.messages == ["Refine box_2 starts after Refine box_1."]
+    finish(desk)
+    assert begun == [("Refine box_1", ["box_1"]), ("Refine box_2", ["box_2"])]
+
+
+def test_what_waits_for_an_object_that_is_removed_is_not_begun(desk: Desk) -> None:
+    c = desk.controller
+    start(desk)
+    operations.refine(c)
+    c.apply(RemoveObject(object="box_1"))
+    finish(desk)
+    assert c.task is None
+    assert not any("Refine" in m and "drop" in m for m in desk.messages)

@@ -16,6 +16,7 @@ from annotator.session import AddClick, AddObject, Click, SetPoses
 from annotator.session.edits import ChangeObject
 from annotator.session.residuals import FrameResidual
 from std_toolkit.geometry import SE3
+from std_toolkit.labels.texture.comparison import TextureComparison
 
 POSE = SE3.exp([0.01, 0.02, 0.6, 0.3, 0.2, 0.1])
 
@@ -71,6 +72,20 @@ def test_from_a_box_to_its_label(desk: Desk) -> None:
         assert "save with Ctrl+S" in hint()
         assert operations.save(c)
         assert hint() == "All is done."
+
+
+def test_a_turn_that_scores_higher_is_named_with_what_decides(desk: Desk) -> None:
+    c = desk.controller
+    c.select("box_1")
+    c.apply(SetPoses.one("box_1", 0, POSE, method="refine", refinement="edges"))
+    c.residuals["box_1"] = [FrameResidual(0, 900, edge_px=0.8, edge_chance_px=12.0)]
+    c.textures["box_1"] = TextureComparison(
+        "undecided", SE3.identity(), "turned by 180 deg about z", 0.15, 0.27, 8, 0.2, (3, 5)
+    )
+    assert next_hint(c) == (
+        "Another turn of box_1 scores higher: look at the label in frames 3 to 5; Y turns it, "
+        "D keeps it."
+    )
 
 
 def test_each_frame_is_on_its_own_without_camera_poses(tmp_path: Path) -> None:

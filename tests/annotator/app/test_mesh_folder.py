@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from test_dialogs import Asker
 
 from annotator.app import dialogs, placing
 from annotator.app.mesh_folder import MeshFolder, choose_folder
+from annotator.app.tasks import Task
 from annotator.options import AnnotateOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
@@ -127,6 +129,25 @@ def test_a_mesh_is_copied_into_the_scene_when_it_is_placed(asker: Asker, tmp_pat
     assert placing.add_object(c, "006_mustard_bottle")
     assert desk.session.object("006_mustard_bottle_2").model == "006_mustard_bottle"
     assert asker.shown == []
+
+
+def test_a_mesh_is_placed_while_something_is_computed(asker: Asker, tmp_path: Path) -> None:
+    desk, c = asker.desk, asker.desk.controller
+    asker.dialogs.add_meshes([write_folder(tmp_path / "meshes")])
+    c.start("Refine box_1", until_cancelled, lambda _: None)
+    assert placing.drop_model(c, "006_mustard_bottle", 0, (60.0, 50.0))
+    desk.wait(lambda: c.selected == "006_mustard_bottle")
+    assert desk.session.pose("006_mustard_bottle", 0) is not None
+    assert c.task is not None and c.task.title == "Refine box_1"
+    assert not any("still running" in m for m in desk.messages)
+    c.cancel()
+    desk.wait_until_idle()
+
+
+def until_cancelled(task: Task) -> None:
+    """A computation that ends when it is cancelled."""
+    while not task.cancelled:
+        time.sleep(0.01)
 
 
 def test_the_unit_is_asked_for_before_a_mesh_is_placed(asker: Asker, tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ def test_the_verdict_is_one_sentence(desk: Desk, rows: list[FrameResidual], sent
 
 
 GOOD = [residual(0, 0.8, None), residual(1, 1.0, 3.0)]
+FITS = TextureComparison("fits", None, "", 0.6, float("nan"), 4, 0.2)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +96,7 @@ def test_a_pose_fits_only_if_most_frames_and_its_rank_say_so(
     desk: Desk, rows: list[FrameResidual], rank: PoseRank, grade: str, words: str
 ) -> None:
     c = desk.controller
-    c.residuals["box_1"], c.ranks["box_1"] = rows, rank
+    c.residuals["box_1"], c.ranks["box_1"], c.textures["box_1"] = rows, rank, FITS
     found = object_verdict(c, "box_1")
     assert found.grade == grade
     assert words in found.text
@@ -143,6 +144,7 @@ def test_done_asks_unless_the_pose_fits(desk: Desk) -> None:
     assert c.session.object("box_1").status == "done"
     BY_ID["done"].run(c)
     c.residuals["box_1"], c.ranks["box_1"] = GOOD, PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
+    c.textures["box_1"] = FITS
     count = len(asked)
     BY_ID["done"].run(c)
     assert c.session.object("box_1").status == "done"

@@ -10,10 +10,13 @@ from bench import Bench
 from PySide6.QtCore import Qt
 from window_scene import T_WORLD_BOX, camera_pose
 
+from annotator.app.events import Event
 from annotator.qt import theme
 from annotator.session import Move
 from annotator.session.residuals import FrameResidual
-from std_toolkit.geometry import rotation_angle
+from std_toolkit.checks.measure.ranking import PoseRank
+from std_toolkit.geometry import SE3, rotation_angle
+from std_toolkit.labels.texture.comparison import TextureComparison
 
 CONTROL = Qt.KeyboardModifier.ControlModifier
 TRUTH = camera_pose(0).inverse() @ T_WORLD_BOX
@@ -81,10 +84,13 @@ def test_residuals_come_by_themselves_and_go_when_the_object_moves(bench: Bench)
     assert panel.table.rowCount() == 4
     # Nothing is called a fit before it has been compared with nearby poses.
     bench.qtbot.waitUntil(lambda: "box_1" in bench.controller.ranks, timeout=30_000)
+    # And nothing before its turns have been compared.
+    bench.qtbot.waitUntil(lambda: "box_1" in bench.controller.textures, timeout=60_000)
     rows = bench.space.objects.model.rows
     assert rows[0].badge.endswith("px")
     assert rows[0].grade == "fits"
     assert panel.summary.text().startswith("It fits. Better than")
+    assert "is not determined: geometry cannot tell it" in panel.summary.text()
     bench.press(Qt.Key.Key_Right)
     assert "box_1" not in bench.controller.residuals
     assert bench.space.objects.model.rows[0].badge == ""
@@ -143,3 +149,31 @@ def test_the_window_answers_while_something_is_computed(bench: Bench) -> None:
     bench.press(Qt.Key.Key_Escape)
     _idle(bench)
     assert np.median(waits) < 2.0
+
+
+def test_a_rival_that_leads_is_read_as_a_whole(bench: Bench) -> None:
+    c = bench.controller
+    c.residuals["box_1"] = [FrameResidual(0, 900, edge_px=0.6, edge_chance_px=9.0)]
+    c.ranks["box_1"] = PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
+    c.textures["box_1"] = TextureComparison(
+        "undecided",
+        SE3.identity(),
+        "turned by 180 deg about z",
+        0.15,
+        0.27,
+        8,
+        0.2,
+        (30, 34, 38),
+    )
+    panel = bench.space.residuals
+    bench.space.tabs.setCurrentWidget(panel)
+    c.emit(Event("verdict", objects=("box_1",)))
+    bench.settle()
+    text = panel.summary.text()
+    assert "scores 0.27 against 0.15: look at the label in frames 30 to 38" in text
+    needed = panel.summary.heightForWidth(panel.summary.width())
+    assert panel.summary.height() >= needed > 0
+    shown = panel.summary.mapTo(bench.shell, panel.summary.rect().bottomRight())
+    assert bench.shell.rect().contains(shown)
+    row = bench.space.objects.model.rows[0]
+    assert row.grade == "doubtful"

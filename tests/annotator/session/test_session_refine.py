@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from textured_scene import write_textured_scene
 
 from annotator.cli import main
 from annotator.session import AddObject, Move, Session
@@ -65,6 +66,30 @@ class TestWhatIsAskedOf:
             with pytest.raises(RequestCancelled):
                 request.resolve(session.snapshot(), cancelled=lambda: True)
             assert not session.unsaved
+
+
+@pytest.mark.slow
+class TestADamagedImage:
+    def test_its_frame_is_left_out_and_named(self, tmp_path: Path) -> None:
+        root = write_textured_scene(tmp_path / "scene", suffix=".jpg")
+        image = root / "color/000003.jpg"
+        image.write_bytes(image.read_bytes()[:3000])
+        with Session.open(root) as session:
+            before = session.T_world_obj("box_1")
+            session.apply(Move(object="box_1", frame=0, shift_mm=[3, -2, 3]))
+            outcome = session.perform(Refine(objects=["box_1"], frame=0))
+            after = session.T_world_obj("box_1")
+        (line,) = [w for w in outcome.warnings if "left out" in w]
+        assert line.startswith("Frame 3 = color/000003.jpg is left out: ")
+        assert before is not None and after is not None
+        assert np.linalg.norm(after.t - before.t) < 0.002
+
+    def test_without_any_other_frame_it_is_told(self, tmp_path: Path) -> None:
+        root = write_textured_scene(tmp_path / "scene", suffix=".jpg")
+        image = root / "color/000003.jpg"
+        image.write_bytes(image.read_bytes()[:3000])
+        with Session.open(root) as session, pytest.raises(ToolkitError, match="JPEG"):
+            session.perform(Refine(objects=["box_1"], frame=3, frames=[3]))
 
 
 @pytest.fixture(scope="module")

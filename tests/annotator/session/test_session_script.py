@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from scene_on_disk import contents
+from textured_scene import HALF_TURN, T_WORLD_BOX, write_textured_scene
 
 from annotator.cli import main
 from annotator.session import (
@@ -83,7 +84,7 @@ def test_a_script_goes_from_a_mesh_to_labels_in_all_frames(
             {"edit": "undo"},
             {"edit": "redo"},
             {"edit": "undo"},
-            {"edit": "change_object", "object": "carton_1", "status": "done"},
+            {"edit": "change_object", "object": "carton_1", "status": "done", "anyway": True},
             {"edit": "propagate"},
         ]
     )
@@ -304,3 +305,34 @@ def test_the_scripts_of_the_specification_are_scripts(script: Callable[[Any], Pa
     for part in parts:
         body = part.split("```json\n", 1)[1].split("```", 1)[0]
         assert read_script(script(body))
+
+
+@pytest.mark.slow
+def test_what_is_not_known_to_fit_is_done_only_if_the_script_says_anyway(
+    root: Path, script: Callable[[Any], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The images of this scene show nothing, so that no pose can be confirmed."""
+    done = {"edit": "change_object", "object": "box_1", "status": "done"}
+    assert main([str(root), "--script", str(script([done, {"edit": "save"}]))]) == 1
+    told = capsys.readouterr().err
+    assert "[0].status" in told
+    assert "box_1 is not known to fit: " in told
+    assert '"anyway": true' in told
+    assert Scene.open(root).annotation.of(1).status == "open"
+    steps = [{**done, "anyway": True}, {"edit": "save"}]
+    assert main([str(root), "--script", str(script(steps))]) == 0
+    assert Scene.open(root).annotation.of(1).status == "done"
+
+
+@pytest.mark.slow
+def test_what_fits_needs_no_such_word(
+    tmp_path: Path, script: Callable[[Any], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = {"edit": "change_object", "object": "box_1", "status": "done"}
+    path = script([done, {"edit": "save"}])
+    right = write_textured_scene(tmp_path / "right")
+    assert main([str(right), "--script", str(path)]) == 0
+    assert Scene.open(right).annotation.of(1).status == "done"
+    wrong = write_textured_scene(tmp_path / "wrong", T_world_obj=T_WORLD_BOX @ HALF_TURN)
+    assert main([str(wrong), "--script", str(path)]) != 0
+    assert "turned by 180 deg about z fits the texture better" in capsys.readouterr().err

@@ -12,8 +12,15 @@ from scene_on_disk import write_scene
 
 pytest.importorskip("trame")
 
+from annotator.app.action_table import BY_ID
+from annotator.app.dialogs import Dialogs
 from annotator.app.pose_text import PoseFields, RotationForm
+from annotator.app.questions import Question
+from annotator.session.residuals import FrameResidual
 from annotator.web.page import page_state
+from std_toolkit.checks.measure.ranking import PoseRank
+from std_toolkit.geometry import SE3
+from std_toolkit.labels.texture.comparison import TextureComparison
 
 
 @pytest.fixture
@@ -43,3 +50,21 @@ def test_the_state_is_plain_json_in_every_form(desk: Desk, form: RotationForm) -
         desk.controller.select(selected)
         state = json.loads(json.dumps(page_state(desk.controller, fields)))
         assert (state["pose"] is None) == (selected is None)
+
+
+def test_the_page_names_a_rival_and_asks_before_done(desk: Desk) -> None:
+    """As the window does: both have the same dialogs and actions."""
+    c = desk.controller
+    asked: list[Question | None] = []
+    dialogs = Dialogs(c, asked.append)
+    c.subscribe(lambda e: dialogs.ask(e.text) if e.kind == "ask" else None)
+    c.residuals["box_1"] = [FrameResidual(0, 900, edge_px=0.6, edge_chance_px=9.0)]
+    c.ranks["box_1"] = PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
+    c.textures["box_1"] = TextureComparison(
+        "undecided", SE3.identity(), "turned by 180 deg about z", 0.15, 0.27, 8
+    )
+    told = "urned by 180 deg about z scores 0.27 against 0.15"
+    assert told in page_state(c, PoseFields(c))["verdict"]
+    BY_ID["done"].run(c)
+    assert asked[-1] is not None and told in asked[-1].text
+    assert c.session.object("box_1").status == "open"
