@@ -85,8 +85,8 @@ class World:
             mark_size=(0.004, 0.02),
         )
         self.textures = [
-            label_texture(rng, width=768, height=512, base=base, marks=200, contrast=0.8)
-            for base in _paints(len(shapes))
+            label_texture(rng, width=768, height=512, base=base, marks=s.marks, contrast=0.8)
+            for s, base in zip(shapes, _paints(len(shapes)), strict=True)
         ]
 
     def cast(self, origins: Array, directions: Array, *, through_glass: bool = False) -> Hits:

@@ -5,9 +5,11 @@ The camera moves along a hand-held arc around the table.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import Literal, Protocol
 
 import numpy as np
 import trimesh
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from sensors.output.recording_writer import TrueObject, Truth
 from sensors.synthetic.camera_frames import render_frame, sensor_depth
 from sensors.synthetic.raycast_world import World
-from sensors.synthetic.shapes import Shape, default_shapes, textured_mesh
+from sensors.synthetic.shapes import Image, Shape, default_shapes, textured_mesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.io import atomic, documents, images
@@ -41,7 +43,10 @@ class RecordingOptions:
         frames: number of frames.
         arc_degrees: angle of the camera's path around the table.
         width, height: image size; the horizontal field of view is 56 degrees.
+        radius_m: distance of the camera from the centre of the table.
+        elevation_degrees: middle of the camera's height above the table.
         depth_bias: factor on the sensor's depth.
+        depth: "stereo" fails on metal; "clean" has the surface of metal. Both see through glass.
         samples: rays per pixel and axis for colour.
         seed: of object poses, textures, path and noise.
     """
@@ -51,7 +56,9 @@ class RecordingOptions:
     width: int = 640
     height: int = 480
     radius_m: float = 0.62
+    elevation_degrees: float = 42.0
     depth_bias: float = 1.015
+    depth: Literal["stereo", "clean"] = "stereo"
     samples: int = 2
     seed: int = 0
 
@@ -65,21 +72,80 @@ class RecordingOptions:
         # An off-centre principal point, so that errors in its handling are detected.
         return Camera(self.width, self.height, f, f, self.width / 2 + 3.3, self.height / 2 - 2.7)
 
+    def path(self) -> list[SE3]:
+        """T_world_cam of the frames."""
+        return arc(
+            self.frames,
+            degrees=self.arc_degrees,
+            radius_m=self.radius_m,
+            seed=self.seed,
+            elevation_degrees=self.elevation_degrees,
+        )
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An object on the table.
+
+    Attributes:
+        shape: what the images show.
+        pose: T_world_obj.
+        mesh: what the label's user has, in the frame of the shape; None: the shape's mesh.
+        printed: whether that mesh has the object's texture.
+        labelled: False for clutter, of which neither mesh nor pose is told.
+    """
+
+    shape: Shape
+    pose: SE3
+    mesh: trimesh.Trimesh | None = None
+    printed: bool = False
+    labelled: bool = True
+
+    @property
+    def mesh_file(self) -> str:
+        # One file each: GLB has the texture inside.
+        return f"models/{self.shape.name}.{'glb' if self.printed else 'ply'}"
+
+
+class Layout(Hashable, Protocol):
+    """Description of the objects on the table, from which each process makes them once."""
+
+    def objects(self) -> Sequence[Placed]:
+        """The objects; every call gives the same."""
+
+
+@dataclass(frozen=True)
+class DefaultLayout:
+    """The six objects of the default recording, placed by a seed."""
+
+    seed: int
+
+    def objects(self) -> list[Placed]:
+        """See `Layout.objects`."""
+        shapes = default_shapes()
+        return [Placed(s, T) for s, T in zip(shapes, _places(shapes, self.seed), strict=True)]
+
 
 def make_recording(
-    out: Path, options: RecordingOptions | None = None, *, jobs: JobOptions | None = None
+    out: Path,
+    options: RecordingOptions | None = None,
+    *,
+    layout: Layout | None = None,
+    jobs: JobOptions | None = None,
 ) -> Truth:
     """Write color/, depth/ (16-bit PNG, mm), models/, intrinsics.json and truth.json to `out`.
 
     Existing frames are kept; a recording with truth.json is complete.
     """
     options = options or RecordingOptions()
-    shapes = default_shapes()
-    truth = _truth(options, shapes)
-    for shape in shapes:
-        _write_mesh(out / f"models/{shape.name}.ply", shape)
+    layout = layout or DefaultLayout(options.seed)
+    placed, world = _world(layout, options.seed)
+    truth = _truth(options, [p for p in placed if p.labelled])
+    for item, texture in zip(placed, world.textures, strict=True):
+        if item.labelled:
+            _write_mesh(out / item.mesh_file, item, texture)
     work = run_jobs(
-        partial(_write_frame, out, options),
+        partial(_write_frame, out, options, layout),
         list(range(options.frames)),
         name="record",
         options=jobs,
@@ -99,7 +165,7 @@ def textured_meshes(options: RecordingOptions) -> dict[str, trimesh.Trimesh]:
 
     The meshes that `make_recording` writes have no texture. Mirrors and glass show none.
     """
-    world = _world(options)
+    _, world = _world(DefaultLayout(options.seed), options.seed)
     return {
         shape.name: textured_mesh(shape.mesh, texture)
         for shape, texture in zip(world.shapes, world.textures, strict=True)
@@ -107,31 +173,30 @@ def textured_meshes(options: RecordingOptions) -> dict[str, trimesh.Trimesh]:
     }
 
 
-def _truth(options: RecordingOptions, shapes: list[Shape]) -> Truth:
-    cameras = arc(
-        options.frames, degrees=options.arc_degrees, radius_m=options.radius_m, seed=options.seed
-    )
+def _truth(options: RecordingOptions, placed: list[Placed]) -> Truth:
     return Truth(
         camera=model.CameraModel.of(options.camera()),
         depth_scale=DEPTH_SCALE,
         depth_bias=options.depth_bias,
         frames=[f"{i:06d}" for i in range(options.frames)],
-        T_world_cam=[T.flat() for T in cameras],
+        T_world_cam=[T.flat() for T in options.path()],
         objects=[
             TrueObject(
-                name=s.name,
-                category=s.category,
-                class_id=model.CATEGORY_CLASS_IDS.get(s.category, 0),
-                material=s.material,
-                mesh=f"models/{s.name}.ply",
+                name=p.shape.name,
+                category=p.shape.category,
+                class_id=model.CATEGORY_CLASS_IDS.get(p.shape.category, 0),
+                material=p.shape.material,
+                mesh=p.mesh_file,
                 symmetry=model.SymmetryModel(
+                    discrete=[list(T) for T in p.shape.symmetry.discrete],
                     continuous=[
-                        AxisSymmetry(axis=list(a), offset=list(o)) for a, o in s.symmetry.continuous
-                    ]
+                        AxisSymmetry(axis=list(a), offset=list(o))
+                        for a, o in p.shape.symmetry.continuous
+                    ],
                 ),
-                T_world_obj=T.flat(),
+                T_world_obj=p.pose.flat(),
             )
-            for s, T in zip(shapes, _places(shapes, options.seed), strict=True)
+            for p in placed
         ],
     )
 
@@ -156,28 +221,27 @@ def _places(shapes: list[Shape], seed: int) -> list[SE3]:
 
 
 @cache
-def _world(options: RecordingOptions) -> World:
+def _world(layout: Layout, seed: int) -> tuple[list[Placed], World]:
     # Textures and acceleration structures are made once per worker process.
-    shapes = default_shapes()
-    return World(shapes, _places(shapes, options.seed), seed=options.seed)
+    placed = list(layout.objects())
+    return placed, World([p.shape for p in placed], [p.pose for p in placed], seed=seed)
 
 
-def _write_frame(out: Path, options: RecordingOptions, index: int) -> None:
+def _write_frame(out: Path, options: RecordingOptions, layout: Layout, index: int) -> None:
     depth_path = out / f"depth/{index:06d}.png"
     if depth_path.exists():
         return
-    world = _world(options)
+    _, world = _world(layout, options.seed)
     camera = options.camera()
-    pose = arc(
-        options.frames, degrees=options.arc_degrees, radius_m=options.radius_m, seed=options.seed
-    )[index]
+    pose = options.path()[index]
     rng = np.random.default_rng([options.seed, index])
     maps = render_frame(world, camera, pose, rng=rng, samples=options.samples)
     materials = np.array([0, *(max(1, model.MATERIAL_IDS[s.material]) for s in world.shapes)])
+    clean = options.depth == "clean"
     depth = sensor_depth(
-        maps.depth,
+        maps.behind if clean else maps.depth,
         maps.behind,
-        materials[maps.ids],
+        np.zeros_like(maps.ids) if clean else materials[maps.ids],
         fx=camera.fx,
         bias=options.depth_bias,
         rng=rng,
@@ -187,9 +251,10 @@ def _write_frame(out: Path, options: RecordingOptions, index: int) -> None:
     images.write_depth_png16(depth_path, np.where(depth < 10, depth, 0), scale=DEPTH_SCALE)
 
 
-def _write_mesh(path: Path, shape: Shape) -> None:
+def _write_mesh(path: Path, item: Placed, texture: Image) -> None:
+    mesh = item.shape.mesh if item.mesh is None else item.mesh
     with atomic.atomic_path(path) as temporary:
-        shape.mesh.export(temporary)
+        (textured_mesh(mesh, texture) if item.printed else mesh).export(temporary)
 
 
 def look_at(eye: NDArray[np.float64], target: NDArray[np.float64], *, roll: float = 0.0) -> SE3:
@@ -203,14 +268,20 @@ def look_at(eye: NDArray[np.float64], target: NDArray[np.float64], *, roll: floa
 
 
 def arc(
-    frames: int, *, degrees: float, radius_m: float, seed: int, start_degrees: float = -60.0
+    frames: int,
+    *,
+    degrees: float,
+    radius_m: float,
+    seed: int,
+    start_degrees: float = -60.0,
+    elevation_degrees: float = 42.0,
 ) -> list[SE3]:
     """T_world_cam along an arc, with the slow drift and the tremor of a hand."""
     rng = np.random.default_rng(seed)
     s = np.linspace(0, 1, frames)
     azimuth = np.radians(start_degrees + degrees * s)
     phase = rng.uniform(0, 2 * np.pi, 4)
-    elevation = np.radians(42 + 7 * np.sin(2 * np.pi * s + phase[0]))
+    elevation = np.radians(elevation_degrees + 7 * np.sin(2 * np.pi * s + phase[0]))
     radius = radius_m * (1 + 0.06 * np.sin(3 * np.pi * s + phase[1]))
     poses = []
     for i in range(frames):

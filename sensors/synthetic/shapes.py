@@ -34,6 +34,7 @@ class Shape:
         material: raw, diffuse, transparent or specular.
         mesh: vertices in metres, bounding box centred at the origin, y up.
         symmetry: in the mesh frame.
+        marks: number of shapes and words printed on it; 0 is plain paint.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Shape:
     material: Material
     mesh: trimesh.Trimesh
     symmetry: Symmetry
+    marks: int = 200
 
 
 def box(width: float, height: float, depth: float) -> trimesh.Trimesh:
@@ -53,7 +55,7 @@ def box(width: float, height: float, depth: float) -> trimesh.Trimesh:
 
 def lathe(profile: list[tuple[float, float]]) -> trimesh.Trimesh:
     """Surface of revolution about y of a closed (radius, height) profile, bottom first."""
-    line = _finely(np.asarray(profile, dtype=np.float64), step=0.006)
+    line = finely(np.asarray(profile, dtype=np.float64), step=0.006)
     mesh = trimesh.creation.revolve(line, sections=SECTIONS)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))
     return _centred(mesh)
@@ -133,7 +135,8 @@ def default_shapes() -> list[Shape]:
     return [Shape(n, c, m, make(), s) for n, c, m, make, s in DEFAULT_SHAPES]
 
 
-def _finely(line: NDArray[np.float64], *, step: float) -> NDArray[np.float64]:
+def finely(line: NDArray[np.float64], *, step: float) -> NDArray[np.float64]:
+    """A polyline with more points, at most `step` apart."""
     points = [line[:1]]
     for a, b in pairwise(line):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))

@@ -5,7 +5,7 @@ Used by the tests and by perf/label_deviation.py.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import msgspec
@@ -17,7 +17,7 @@ from sensors.synthetic.recording import RecordingOptions, make_recording, textur
 from sensors.synthetic.truth import scene_from_truth
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
-from std_toolkit.geometry.symmetry import fixed_point, nearest_variant
+from std_toolkit.geometry.symmetry import Symmetry, fixed_point, nearest_variant
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.jobs import JobOptions
 from std_toolkit.labels.auto_refine import refine_objects
@@ -132,19 +132,7 @@ def study(
         item = scene.objects.object(i)
         model = scene.objects.model(item.model)
         symmetry = model.symmetry.symmetry()
-        mesh = meshes[model.id]
-        centre = fixed_point(symmetry, mesh_bounds(mesh).mean(axis=0))
-        true = nearest_variant(truth[i], pose, hull_vertices(mesh), symmetry)
-        error = (pose.inverse() @ true).log()
-        at = SE3(np.eye(3), centre)
-        error = (at.inverse() @ SE3.exp(error) @ at).log()
-        C = covariance_at(covariance, centre)
-        radius = 0.5 * float(np.linalg.norm(mesh.extents))
-        size = np.array([1.0] * 3 + [radius] * 3)
-        axes = [np.asarray(a) for a, _ in symmetry.continuous]
-        z = whitened(error * size, C * np.outer(size, size), axes)
-        turn = error[3:] - sum((a * (a @ error[3:]) for a in axes), np.zeros(3))
-        std = [float(np.sqrt(np.linalg.eigvalsh(C[k, k])[-1])) for k in (np.s_[:3], np.s_[3:])]
+        found_error = pose_error(pose, covariance, truth[i], meshes[model.id], symmetry)
         rows.append(
             Row(
                 seed,
@@ -155,14 +143,55 @@ def study(
                 mesh_fault,
                 camera_fault,
                 textured is not None and model.id in textures,
-                [float(x) for x in z],
-                1000 * float(np.linalg.norm(error[:3])),
-                float(np.rad2deg(np.linalg.norm(turn))),
-                1000 * std[0],
-                float(np.rad2deg(std[1])),
+                **asdict(found_error),
             )
         )
     return rows
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """Error of a pose and its reported deviations; see `Row`."""
+
+    z: list[float]
+    mm: float
+    deg: float
+    std_mm: float
+    std_deg: float
+
+
+def pose_error(
+    pose: SE3, covariance: Array, truth: SE3, mesh: trimesh.Trimesh, symmetry: Symmetry
+) -> PoseError:
+    """Compare the error of a pose, symmetry aware, with its covariance.
+
+    Args:
+        pose, truth: T_world_obj.
+        covariance: (6, 6) of a right perturbation of `pose`, metres and radians.
+        mesh: that the pose is of.
+        symmetry: of the mesh.
+    """
+    centre = fixed_point(symmetry, mesh_bounds(mesh).mean(axis=0))
+    true = nearest_variant(truth, pose, hull_vertices(mesh), symmetry)
+    error = (pose.inverse() @ true).log()
+    at = SE3(np.eye(3), centre)
+    error = (at.inverse() @ SE3.exp(error) @ at).log()
+    C = covariance_at(covariance, centre)
+    radius = 0.5 * float(np.linalg.norm(mesh.extents))
+    size = np.array([1.0] * 3 + [radius] * 3)
+    axes = [np.asarray(a) for a, _ in symmetry.continuous]
+    if symmetry.is_spherical:
+        axes = list(np.eye(3))
+    z = whitened(error * size, C * np.outer(size, size), axes)
+    turn = error[3:] - sum((a * (a @ error[3:]) for a in axes), np.zeros(3))
+    std = [float(np.sqrt(np.linalg.eigvalsh(C[k, k])[-1])) for k in (np.s_[:3], np.s_[3:])]
+    return PoseError(
+        [float(x) for x in z],
+        1000 * float(np.linalg.norm(error[:3])),
+        float(np.rad2deg(np.linalg.norm(turn))),
+        1000 * std[0],
+        float(np.rad2deg(std[1])),
+    )
 
 
 def _propagated(
