@@ -13,6 +13,7 @@ from std_toolkit.checks import result
 from std_toolkit.checks.gates import contour, depth, frames, motion, poses, texture
 from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
+from std_toolkit.checks.measure.frame_evidence import frame_evidence
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
 from std_toolkit.errors import ToolkitError
@@ -108,6 +109,7 @@ def judge_scene(
             materials=materials,
             poses=scene.poses,
             unreadable=_unreadable_meshes(scene),
+            evidence=frame_evidence(scene, observed, options),
         )
     )
     return msgspec.structs.replace(
@@ -121,14 +123,14 @@ def judge_rows(measured: Measured) -> result.CheckReport:
     Args:
         measured: what was measured, without the faults of frames.
     """
-    faults = frames.find_frame_faults(measured.objects, measured.frames, measured.options)
+    faults = frames.find_frame_faults(
+        measured.objects, measured.frames, measured.options, measured.evidence
+    )
     measured = replace(
         measured,
         objects=faults.objects,
         frames=faults.frames,
-        camera=faults.camera,
         moved=faults.moved,
-        unfit=faults.unfit,
     )
     gates = all_gates()
     objects = [_with_verdict(o, gates, measured) for o in measured.objects]

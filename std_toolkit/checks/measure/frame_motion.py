@@ -33,6 +33,8 @@ _CHANCE_FRAMES = 25
 # Frames of a run that are searched, and hypotheses of each that are tried in the others.
 _SEARCHED = 4
 _HYPOTHESES = 3
+# The common motion and the frames without it are found in turn.
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,8 @@ class FrameMotionSettings(Settings):
     """length of a contour that counts as one sample"""
     smallest_gain: float = limit(6.0, unit="nats", source="set on seeds 1 to 5")
     """gain in log likelihood of a run of frames, besides the logarithm of the number of frames"""
+    unfit_gain: float = limit(2.0, unit="nats", source="set on seeds 1 to 5")
+    """the same where the label does not fit: that is evidence by itself"""
     per_frame: float = limit(
         0.5, unit="nats", source="longer runs are as many more, and have edges in common"
     )
@@ -128,26 +132,44 @@ class ObjectFrames:
         self.displaced: list[Displaced] = []
         if len(self.frames) < 3:
             return
-        common = solve_motion([f.equations for f in self.frames], free, with_size=True)
+        left = np.ones(len(self.frames), bool)
+        for _ in range(_ROUNDS):
+            self.displaced = []
+            if not self._set_common(left):
+                return
+            self.displaced = self._near_runs()
+            taken = {f for d in self.displaced for f in d.frames}
+            rest = np.array([f.frame not in taken for f in self.frames])
+            # Frames in which the object lies elsewhere pull at the motion that the others share.
+            if rest.sum() < 3 or (rest == left).all():
+                break
+            left = rest
+        self._sort()
+
+    def _set_common(self, left: NDArray[np.bool_]) -> bool:
+        """Measure the common motion in some frames, and how well all frames agree with it."""
+        limits = FrameMotionSettings.current()
+        shared = [f for f, taken in zip(self.frames, left, strict=True) if taken]
+        common = solve_motion([f.equations for f in shared], self.free, with_size=True)
         assert common is not None and common.size is not None
         self.zero = np.append(common.vector, common.size)
         self.per_sample = np.array([_likelihood(f.equations, self.zero) for f in self.frames])
-        self.chance = _chance(self.frames, self.zero)
-        self.usual = float(np.median(np.sort(self.per_sample)[len(self.frames) // 2 :]))
-        self.usual -= self.chance
-        if self.usual < limits.witness:
-            return
-        self.part = (self.per_sample - self.chance) / self.usual
-        self.tells = bool((self.part >= limits.seen).mean() >= limits.fewest_fits)
-        if self.tells:
-            self.displaced = self._near_runs()
-            self._sort()
+        self.chance = _chance(shared, self.zero)
+        known = np.sort(self.per_sample[left])
+        self.usual = float(np.median(known[len(known) // 2 :])) - self.chance
+        self.part = (self.per_sample - self.chance) / max(self.usual, 1e-9)
+        self.tells = self.usual >= limits.witness and bool(
+            (self.part >= limits.seen).mean() >= limits.fewest_fits
+        )
+        return self.tells
 
     def _sort(self) -> None:
         limits = FrameMotionSettings.current()
         taken = {f for d in self.displaced for f in d.frames}
         rest = [
-            (f.frame, p) for f, p in zip(self.frames, self.part, strict=True) if f.frame not in taken
+            (f.frame, p)
+            for f, p in zip(self.frames, self.part, strict=True)
+            if f.frame not in taken
         ]
         self.fits = frozenset(f for f, p in rest if p >= limits.seen)
         self.unfit = tuple(f for f, p in rest if p < limits.unfit)
@@ -261,8 +283,9 @@ class ObjectFrames:
         J = self.frames[k].equations.load().jacobian[:, :6].astype(np.float64)
         variance = np.einsum("pi,ij,pj->p", J, covariance, J).mean()
         std_mm = 1000 * self.frames[k].pixel_m * float(np.sqrt(2 * variance))
-        needed = limits.smallest_gain + np.log(len(self.frames)) + limits.per_frame * len(inside)
-        TRACE.append((self.frames[inside[0]].frame, self.frames[inside[-1]].frame, float(mm), float(px), gain, float(needed), seen, std_mm))
+        lost = bool((self.part[inside] < limits.unfit).all())
+        needed = limits.unfit_gain if lost else limits.smallest_gain
+        needed += np.log(len(self.frames)) + limits.per_frame * len(inside)
         if gain < needed or seen < limits.seen:
             return None
         if mm < self.smallest_mm or px < limits.shift_px or mm < limits.deviations * std_mm:
@@ -308,7 +331,7 @@ class ObjectFrames:
         chosen = np.unique(np.linspace(0, len(run) - 1, _SEARCHED).round().astype(int))
         views = {run[c]: v for c in chosen if (v := view(self.frames[run[c]].frame)) is not None}
         best: tuple[float, Array] | None = None
-        for k in (list(views)[0], list(views)[-1]) if views else ():
+        for k in dict.fromkeys((min(views), max(views))) if views else ():
             for motion in self._places(k, views[k]):
                 gain = 0.0
                 for j, other in views.items():
@@ -346,9 +369,6 @@ class ObjectFrames:
         return [m for _, m in found[:_HYPOTHESES]]
 
 
-TRACE: list[tuple] = []
-
-
 def _likelihood(equations: Equations, motion: Array) -> float:
     """Mean log likelihood of a contour point against clutter alone, after a motion (7,)."""
     from std_toolkit.checks.measure.edge_sums import likelihood_gain  # loads numba
@@ -359,9 +379,10 @@ def _likelihood(equations: Equations, motion: Array) -> float:
 
 def _chance(frames: Sequence[_Frame], motion: Array) -> float:
     """Likelihood of the points of displaced contours: median over some frames."""
-    found = []
-    for k in np.unique(np.linspace(0, len(frames) - 1, _CHANCE_FRAMES).round().astype(int)):
-        e = frames[k].equations.load()
-        for shift in _CHANCE_PX:
-            found.append(_likelihood(replace(e, offsets=e.offsets - np.float32(shift)), motion))
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _CHANCE_FRAMES).round().astype(int))
+    found = [
+        _likelihood(replace(e, offsets=e.offsets - np.float32(shift)), motion)
+        for e in (frames[k].equations.load() for k in chosen)
+        for shift in _CHANCE_PX
+    ]
     return float(np.median(found))

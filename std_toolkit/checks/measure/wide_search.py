@@ -99,9 +99,7 @@ class SearchedView:
         mask = np.zeros((y1 - y0, x1 - x0), bool)
         hits = self.caster.cast_pixels(self.camera, T, possible, origin=(x0, y0))
         mask[possible] = hits.object_id == self.object_id
-        return trace_contour(
-            self.caster, self.camera, T, self.object_id, mask, origin=(x0, y0)
-        )
+        return trace_contour(self.caster, self.camera, T, self.object_id, mask, origin=(x0, y0))
 
     def equations(self, motion: Array) -> MotionEquations | None:
         """Edges near the contour after a motion (6,); offsets and motions count from the label."""
