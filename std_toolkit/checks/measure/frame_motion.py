@@ -53,6 +53,8 @@ class FrameMotionSettings(Settings):
         0.5, unit="nats", source="longer runs are as many more, and have edges in common"
     )
     """further gain for each frame of a run"""
+    clear: float = limit(0.85, source="an object that lies 2.5 px elsewhere keeps a half")
+    """a frame with this part of the usual likelihood has no motion of its own"""
     seed_gain: float = limit(4.0, unit="nats", source="below it no frame begins a run")
     """gain of a frame alone from which a run is tried"""
     drop: float = limit(10.0, unit="nats", source="as certain as the run itself")
@@ -194,7 +196,8 @@ class ObjectFrames:
     def _near_runs(self) -> list[Displaced]:
         limits = FrameMotionSettings.current()
         seeds = []
-        for k, frame in enumerate(self.frames):
+        for k in np.flatnonzero(self.part < limits.clear):
+            frame = self.frames[k]
             alone = solve_motion([frame.equations], self.free)
             assert alone is not None
             motion = np.append(alone.vector, self.zero[6])
