@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -13,6 +13,9 @@ _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
     "le": ("at most", lambda value, bound: value <= bound),
     "lt": ("below", lambda value, bound: value < bound),
 }
+
+
+_ARGUMENTS = ("problem", "path", "field", "value", "hint")
 
 
 class ToolkitError(Exception):
@@ -57,13 +60,13 @@ class ToolkitError(Exception):
 
     def relocated(self, old: Path, new: Path) -> ToolkitError:
         """The same error with path `old` replaced by `new`, for staging folders."""
-        return type(self)(
-            self.problem,
-            path=None if self.path is None else self.path.replace(str(old), str(new)),
-            field=self.field,
-            value=self.value,
-            hint=self.hint,
+        return self.revised(
+            path=None if self.path is None else self.path.replace(str(old), str(new))
         )
+
+    def revised(self, **changes: Any) -> ToolkitError:
+        """The same error with some of its arguments replaced, by a caller that knows more."""
+        return type(self)(**{name: getattr(self, name) for name in _ARGUMENTS} | changes)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions with keyword-only arguments cannot be pickled between worker processes
@@ -124,6 +127,33 @@ def missing_extra(error: BaseException) -> ToolkitError | None:
     return ToolkitError(
         f"{module} is not installed", hint=f"pip install 'std-toolkit[{EXTRAS[module]}]'"
     )
+
+
+def check_known(
+    value: object,
+    known: Iterable[Any],
+    problem: str,
+    *,
+    path: Path | str | None = None,
+    field: str | None = None,
+    told: str = "one of",
+) -> None:
+    """Check that a value is one of those that there are.
+
+    Args:
+        value: what was asked for.
+        known: what there is; listed in the hint, after `told`.
+        problem, path, field: of the error.
+
+    Raises:
+        ToolkitError: it is none of them.
+
+    >>> check_known("panda", ["panda", "suction"], "no such gripper")
+    """
+    names = list(dict.fromkeys(known))
+    if value not in names:
+        listed = f"{told} {', '.join(map(str, names))}"
+        raise ToolkitError(problem, path=path, field=field, value=value, hint=listed)
 
 
 def check_options(options: Any) -> None:

@@ -3,45 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
-from std_toolkit.cli.command import Command, Program, print_json
+from benchmark.cli import commands, report_failures
+from std_toolkit.cli.command import Program, print_json
 
 if TYPE_CHECKING:
-    from benchmark.evaluation.config import BopConfig, NetworkConfig
+    from benchmark.evaluation.config import (
+        BopConfig,
+        CheckDataOptions,
+        ListOptions,
+        NetworkConfig,
+    )
     from benchmark.methods.pose.priors.options import PriorsCommand
-
-
-@dataclass(frozen=True, kw_only=True)
-class ListOptions:
-    """List the methods or the splits that there are."""
-
-    what: Literal["methods", "splits"]
-    """what to list"""
-    task: Literal["depth", "pose", "grasp"] = "depth"
-    """whose methods"""
-    json: bool = False
-    """print JSON"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckDataOptions:
-    """Report which files of a split are there and which are missing."""
-
-    root: Path
-    """folder above the data sets, or of the split"""
-    splits: tuple[str, ...] = field(metadata={"option": "split"})
-    """names of `std-bench list splits`"""
-    json: bool = False
-    """print JSON"""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
-    return PROGRAM.main(arguments)
 
 
 def score(config: NetworkConfig | BopConfig) -> int:
@@ -53,30 +27,19 @@ def score(config: NetworkConfig | BopConfig) -> int:
         print_json(scored.records)
     elif scored.results:
         print(scored.table)
-    for title, error in scored.campaign.failed.items():
-        print(f"error: {title}: {error}", file=sys.stderr)
-    return 1 if scored.campaign.failed or scored.campaign.failed_frames else 0
+    return report_failures(scored.campaign.failed) or int(scored.campaign.failed_frames > 0)
 
 
 def list_names(options: ListOptions) -> int:
     """Print methods or splits with a line about each; returns the exit status."""
-    import inspect
-
+    from benchmark.data.splits import get_split, splits
     from benchmark.methods.registry import METHODS
-    from std_toolkit.errors import ToolkitError
 
-    about: dict[str, str] = {}
     if options.what == "splits":
-        from benchmark.data.splits import get_split, splits
-
         about = {name: get_split(name).about for name in splits.names()}
     else:
         methods = METHODS[options.task]
-        for name in methods.names():
-            try:
-                about[name] = (inspect.getdoc(methods.get(name)) or "").partition("\n")[0]
-            except ToolkitError as error:
-                about[name] = f"not usable here: {error.problem}"
+        about = {name: methods.about(name) for name in methods.names()}
         if options.task == "grasp":
             about["oracle"] = "Knows where the objects are: what can be reached at all."
     if options.json:
@@ -111,41 +74,31 @@ def write_priors(options: PriorsCommand) -> int:
     return 0
 
 
-def _command(name: str, about: str, options: str, run: Callable[[Any], int]) -> Command:
-    return Command(
-        name=name, about=about, options=options, run=f"benchmark.cli.bench:{run.__name__}"
-    )
-
-
-_CONFIG = "benchmark.evaluation.config"
+_PRIORS = "benchmark.methods.pose.priors.options:PriorsCommand"
 PROGRAM = Program(
     name="std-bench",
     about="Score methods that restore depth, and what rests on depth: poses and grasps. What is\n"
     "scored already is kept: run the same command again to resume. `std-report` makes tables and\n"
     "pages of the results.",
-    commands=(
-        _command("depth", "score depth restorers", f"{_CONFIG}:DepthConfig", score),
-        _command("pose", "score category-level pose methods", f"{_CONFIG}:PoseConfig", score),
-        _command("grasp", "clear tables in simulation", f"{_CONFIG}:GraspConfig", score),
-        _command(
-            "bop", "score result files of instance-level poses", f"{_CONFIG}:BopConfig", score
-        ),
-        _command("list", "list methods or splits", "benchmark.cli.bench:ListOptions", list_names),
-        _command(
+    commands=commands(
+        "benchmark.cli.bench",
+        "benchmark.evaluation.config",
+        ("depth", "score depth restorers", "DepthConfig", "score"),
+        ("pose", "score category-level pose methods", "PoseConfig", "score"),
+        ("grasp", "clear tables in simulation", "GraspConfig", "score"),
+        ("bop", "score result files of instance-level poses", "BopConfig", "score"),
+        ("list", "list methods or splits", "ListOptions", "list_names"),
+        (
             "check-data",
             "report what of a split is there, and what is missing",
-            "benchmark.cli.bench:CheckDataOptions",
-            check_data,
+            "CheckDataOptions",
+            "check_data",
         ),
-        _command(
-            "priors",
-            "make the shape priors of spd and sgpa from meshes",
-            "benchmark.methods.pose.priors.options:PriorsCommand",
-            write_priors,
-        ),
+        ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),
     ),
     default="depth",
 )
+main = PROGRAM.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,13 +1,11 @@
 """`std-report`: leaderboards and a page of what `std-bench` measured."""
 
-from __future__ import annotations
-
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from std_toolkit.cli.command import Command, Program, print_json
+from benchmark.cli import commands
+from std_toolkit.cli.command import Program, print_json
 from std_toolkit.errors import ToolkitError
 
 PAGE = "report.html"
@@ -33,11 +31,6 @@ class ReportOptions:
     def __post_init__(self) -> None:
         if not self.results:
             raise ToolkitError("needed", field="results")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
-    return PROGRAM.main(arguments)
 
 
 def report(options: ReportOptions) -> int:
@@ -66,15 +59,13 @@ def report(options: ReportOptions) -> int:
 PROGRAM = Program(
     name="std-report",
     about="Tables and a page of what std-bench measured.",
-    commands=(
-        Command(
-            name="report",
-            about="write tables and a page",
-            options="benchmark.cli.report:ReportOptions",
-            run="benchmark.cli.report:report",
-        ),
+    commands=commands(
+        "benchmark.cli.report",
+        "benchmark.cli.report",
+        ("report", "write tables and a page", "ReportOptions", "report"),
     ),
 )
+main = PROGRAM.main
 
 if __name__ == "__main__":
     sys.exit(main())

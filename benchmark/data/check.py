@@ -1,7 +1,5 @@
 """Check of a split on disk: what exists, what is missing, and where to download it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -126,8 +124,7 @@ def check_split(root: Path | str, name: str) -> SplitReport:
         source = split.open(root)
         scenes = tuple(source.files())
     except ToolkitError as error:
-        problem = ToolkitError(error.problem, path=error.path, field=error.field, value=error.value)
-        return SplitReport(split, root, problem=str(problem))
+        return SplitReport(split, root, problem=str(error.revised(hint=None)))
     sizes, unreadable = _try_frames(source)
     frames = sum(s.frames for s in scenes)
     return SplitReport(

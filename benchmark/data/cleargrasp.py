@@ -28,10 +28,8 @@ Every capture shows a different arrangement, so each is a separate scene.
 Source of the names: the data set's repository, github.com/Shreeyak/cleargrasp.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -99,28 +97,9 @@ class ClearGraspReal:
         def path(what: str) -> Path:
             return loading.first_file(folder, tuple(stem + s for s in NEEDED[what]), what)
 
-        true = loading.read_depth_map(path("ground-truth depth"))
-        mask_path = path("mask")
-        mask = loading.read_binary_mask(mask_path, TRANSPARENT.mask_id)
-        loading.check_same_size(mask_path, mask, true, "mask")
-        size = (true.shape[1], true.shape[0])
-        color, raw = loading.NO_COLOR, loading.NO_DEPTH
-        if sensor:
-            color_path, raw_path = path("colour"), path("raw depth")
-            color = read_color(color_path)
-            raw = loading.read_depth_map(raw_path)
-            loading.check_proportions(color_path, color, size)
-            loading.check_proportions(raw_path, raw, size)
-        return frame.DepthFrame(
-            scene=f"{scene.name}-{stem}",
-            name=stem,
-            color=color,
-            depth_raw=raw,
-            depth_true=true,
-            mask=mask,
-            camera=self._camera(folder, size),
-            instances=(TRANSPARENT,),
-        )
+        key = splits.FrameKey(f"{scene.name}-{stem}", stem)
+        has = ("colour", "raw depth") if sensor else ()
+        return _frame(key, path, has, lambda size: self._camera(folder, size))
 
     def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""
@@ -131,6 +110,39 @@ class ClearGraspReal:
         if known is None:
             known = self._cameras[str(folder)] = _read_camera(folder, size)
         return known if known.size == size else known.resized(*size)
+
+
+def _frame(
+    key: splits.FrameKey,
+    path: Callable[[str], Path],
+    has: Sequence[str],
+    camera: Callable[[tuple[int, int]], Camera],
+) -> frame.DepthFrame:
+    """Read a frame.
+
+    Args:
+        key: scene and name.
+        path: the file of each content.
+        has: which images of the sensor are read: colour, raw depth. Without a file of it, raw depth
+            is the true one without transparent objects.
+        camera: of the images, by their size.
+    """
+    true, mask_path = loading.read_depth_map(path("ground-truth depth")), path("mask")
+    mask = loading.read_binary_mask(mask_path, TRANSPARENT.mask_id)
+    loading.check_same_size(mask_path, mask, true, "mask")
+    size = (true.shape[1], true.shape[0])
+    color, raw = loading.NO_COLOR, loading.NO_DEPTH
+    paths = [path(what) for what in has]
+    if paths:
+        color = read_color(paths[0])
+        raw = np.where(mask == TRANSPARENT.mask_id, np.float32(0), true)
+        if len(paths) > 1:
+            raw = loading.read_depth_map(paths[1])
+        for image_path, image in zip(paths, (color, raw), strict=False):
+            loading.check_proportions(image_path, image, size)
+    return frame.DepthFrame(
+        key.scene, key.name, color, raw, true, mask, camera(size), (TRANSPARENT,)
+    )
 
 
 def camera_of_view(size: tuple[int, int], fov_x: float = COLOR_FOV_X) -> Camera:
@@ -172,27 +184,9 @@ class ClearGraspSynthetic:
                 Path(scene.path) / folder, tuple(stem + s for s in suffixes), what
             )
 
-        true, mask_path = loading.read_depth_map(path("ground-truth depth")), path("mask")
-        mask = loading.read_binary_mask(mask_path, TRANSPARENT.mask_id)
-        loading.check_same_size(mask_path, mask, true, "mask")
-        size = (true.shape[1], true.shape[0])
-        color, raw = loading.NO_COLOR, loading.NO_DEPTH
-        if sensor:
-            color_path = path("colour")
-            color = read_color(color_path)
-            loading.check_proportions(color_path, color, size)
-            raw = np.where(mask == TRANSPARENT.mask_id, np.float32(0), true)
-        view = _field_of_view(Path(scene.path) / "json-files" / f"{stem}-masks.json")
-        return frame.DepthFrame(
-            scene=scene.name,
-            name=stem,
-            color=color,
-            depth_raw=raw,
-            depth_true=true,
-            mask=mask,
-            camera=camera_of_view(size, view),
-            instances=(TRANSPARENT,),
-        )
+        document = Path(scene.path) / "json-files" / f"{stem}-masks.json"
+        key, has = splits.FrameKey(scene.name, stem), ("colour",) if sensor else ()
+        return _frame(key, path, has, lambda size: camera_of_view(size, _field_of_view(document)))
 
     def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""

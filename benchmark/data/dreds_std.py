@@ -16,8 +16,6 @@ code, with the principal point in the image centre.
 Source: the loaders of github.com/PKU-EPIC/DREDS, described in data_spec.md, sections 6.2 and 11.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ Objects are selected by material, category, and whether they are distractors. Ne
 resizing uses the same indices as `torch.nn.functional.interpolate`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum

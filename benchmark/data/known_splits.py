@@ -5,8 +5,6 @@ README files of github.com/PKU-EPIC/DREDS and github.com/Shreeyak/cleargrasp. Th
 other about STD.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

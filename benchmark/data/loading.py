@@ -1,7 +1,5 @@
 """Common parts of loaders: compact lists of scenes and frames, reading and checking of maps."""
 
-from __future__ import annotations
-
 import os
 import re
 from bisect import bisect_right
@@ -324,7 +322,5 @@ def check_same_size(
 def about(error: ToolkitError, key: FrameKey, path: Path) -> ToolkitError:
     """Return an error about a frame with the path of the file that causes it."""
     if error.path is None or error.path == str(key):
-        return ToolkitError(
-            error.problem, path=path, field=error.field, value=error.value, hint=error.hint
-        )
+        return error.revised(path=path)
     return error

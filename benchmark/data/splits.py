@@ -1,7 +1,5 @@
 """Splits of data sets: frames by index, the registry of names, splits with saved restored depth."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ imported recording in `reference/`. In simulated scenes the depth of all pixels,
 floor, is ground truth.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field

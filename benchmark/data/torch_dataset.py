@@ -1,7 +1,5 @@
 """Frames as tensors of one size, for training."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import cv2

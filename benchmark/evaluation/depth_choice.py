@@ -1,10 +1,9 @@
 """The depth that a task works on: raw, true, by a restorer, or saved in a folder."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +11,11 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame
 from benchmark.data.loading import read_depth_map
 from benchmark.data.splits import FrameKey, saved_depth_path
-from benchmark.evaluation.config import plain_label
 from benchmark.evaluation.frames import error_line, restore_views
+from benchmark.evaluation.values import plain_label
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
 from benchmark.methods.protocol import Restorer
-from benchmark.methods.registry import MethodOptions, make_restorer, restorers
+from benchmark.methods.registry import MethodOptions, make_restorer, restorers, weights_digest
 from std_toolkit.errors import ToolkitError
 
 RAW, TRUE = "raw", "gt"
@@ -80,6 +79,17 @@ class DepthProvider:
             self.restorer = make_restorer(choice.name, choice.options)
         elif choice.folder is not None and not choice.folder.is_dir():
             raise ToolkitError("no such folder of saved depth", path=choice.folder)
+
+    def setup(self) -> dict[str, Any]:
+        """Return the fields of a setup that the depth determines."""
+        choice, options, folder = self.choice, self.choice.options, self.choice.folder
+        return {
+            "depth": choice.name,
+            "depth_preset": options.preset if choice.is_restored else "",
+            "depth_settings": dict(options.settings),
+            "depth_weights_sha256": weights_digest(choice.name, self.restorer, options),
+            "depth_folder": "" if folder is None else str(folder.resolve()),
+        }
 
     def depths(self, frames: Mapping[int, DepthFrame]) -> dict[int, Depth | str]:
         """Return the depth of the frames of a batch, each of any size, or error lines."""

@@ -1,7 +1,5 @@
 """Depth and its error as pictures, side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

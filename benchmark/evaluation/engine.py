@@ -4,8 +4,6 @@ A run is a folder. Its manifest is written first; its table is written in parts.
 the same if the run is interrupted, killed or spread over machines.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import time
@@ -19,10 +17,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 import pandas as pd
 
 from benchmark.evaluation.results import good_frames, join_parts, report_failures
-from benchmark.methods.registry import MethodOptions, shipped_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
-from std_toolkit.io.documents import digest_file
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.artefact import begin
 
@@ -99,29 +95,7 @@ def as_unusable_method(devices: Sequence[str]) -> Iterator[None]:
             check_device(device)
         yield
     except ToolkitError as error:
-        raise UnusableMethod(
-            error.problem, path=error.path, field=error.field, value=error.value, hint=error.hint
-        ) from error
-
-
-def weights_digest(name: str, method: object, options: MethodOptions) -> str:
-    """Return the hash of the weight file of a method, either given or shipped.
-
-    Args:
-        name: name of the method.
-        method: the method; None if there is none, as for raw depth.
-        options: options that the method was created with.
-
-    Returns:
-        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); empty without a weight file.
-    """
-    if method is None:
-        return ""
-    # A user's method may use the file without a `weights` attribute.
-    weights = getattr(method, "weights", None) or options.weights
-    if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
-        weights = shipped
-    return digest_file(weights) if isinstance(weights, Path) else ""
+        raise UnusableMethod(**vars(error)) from error
 
 
 D = TypeVar("D")

@@ -1,7 +1,5 @@
 """Score methods: what `std-bench` and Python have in common, and `evaluate`."""
 
-from __future__ import annotations
-
 import importlib
 import uuid
 from collections.abc import Callable, Mapping, Sequence
@@ -14,15 +12,14 @@ from typing import Any, Literal
 import pandas as pd
 
 from benchmark.evaluation.config import (
-    OBJECT,
     BopConfig,
     DepthConfig,
     FrameConfig,
     NetworkConfig,
     PoseConfig,
-    checked_label,
 )
 from benchmark.evaluation.engine import Campaign, Task, run_all
+from benchmark.evaluation.values import OBJECT, checked_label
 from benchmark.methods.registry import METHODS
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions

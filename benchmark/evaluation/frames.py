@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from benchmark.data.splits import DepthSource, names_digest, open_split
-from benchmark.evaluation.config import checked_label, data_of, plain_label
-from benchmark.evaluation.engine import TaskRun, weights_digest
+from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
+from benchmark.evaluation.values import checked_label, data_of, plain_label
 from benchmark.methods.protocol import Restored, Restorer, View
-from benchmark.methods.registry import MethodOptions
+from benchmark.methods.registry import MethodOptions, weights_digest
 from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.jobs.options import error_of
 

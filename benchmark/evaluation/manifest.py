@@ -1,7 +1,5 @@
 """Manifests of runs: the setup that determines a table, and the environment of the run."""
 
-from __future__ import annotations
-
 import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version

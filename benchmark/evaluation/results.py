@@ -4,8 +4,6 @@ A part is written atomically and its name gives its frames, so that a killed run
 end all parts are joined into one table in the order of the frames.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

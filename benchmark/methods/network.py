@@ -1,23 +1,17 @@
-"""Shared code of networks: tensors from views, image sizes, device, precision, relative depth.
+"""Shared code of networks: tensors from views, image sizes, device, precision."""
 
-Relative depth does not depend on the scale of the scene. The input is relative to the mean depth of
-the image. The output is relative to the sensor's depth at low resolution, with holes filled from
-their surroundings: an output of 0 repeats the sensor.
-"""
-
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d, interpolate, pad
+from torch.nn.functional import interpolate, pad
 
 from benchmark.methods import protocol, registry, weights
 from std_toolkit import plugins
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.geometry.camera import pixel_rays
 
 _PRECISIONS = {"fp32": None, "bf16": torch.bfloat16, "fp16": torch.float16}
@@ -25,14 +19,6 @@ _PRECISIONS = {"fp32": None, "bf16": torch.bfloat16, "fp16": torch.float16}
 # (width, height) that compact networks work at: that of the main tables, so that their answers are
 # scored pixel by pixel, and shaped as the cameras' images.
 COMPACT_SIZE = (224, 126)
-
-_SPAN = 0.2  # what counts as 1: a tabletop's depths differ by about this share of their mean
-
-# Of the mean: farther measurements are most often wrong matches. Far walls are among them, too; an
-# answer about these has farther to go.
-_FARTHEST = 2.5
-
-_CONTRAST = 0.25
 
 
 class Prediction(NamedTuple):
@@ -49,7 +35,51 @@ class Prediction(NamedTuple):
     confidence: Tensor | None = None
 
 
-class NetworkRestorer:
+class HeldNetwork:
+    """A network on its device, in evaluation mode, with the arithmetic that options want.
+
+    Args:
+        network: with its weights.
+        options: device, precision and compilation.
+
+    Raises:
+        ToolkitError: the device is not there, or no such precision.
+    """
+
+    def __init__(self, network: nn.Module, options: registry.MethodOptions) -> None:
+        self.device = torch_device(options.device)
+        self._narrow = narrow_type(options.precision)
+        self.network = network.to(self.device).eval().requires_grad_(False)
+        self._run: Any = torch.compile(self.network) if options.compile else self.network
+
+    @property
+    def parameter_count(self) -> int:
+        """Parameters of the network."""
+        return parameter_count(self.network)
+
+    @contextmanager
+    def _running(self, frames: int) -> Iterator[None]:
+        """Without gradients.
+
+        Raises:
+            ToolkitError: the device's memory does not hold so many frames.
+        """
+        try:
+            with torch.inference_mode():
+                yield
+        except torch.OutOfMemoryError as error:
+            raise ToolkitError(
+                f"the memory of {self.device} does not hold {frames} frames at once",
+                hint="make --batch-size smaller",
+            ) from error
+
+    def _answer(self, *inputs: Tensor) -> Any:
+        """What the network answers, in the arithmetic that is wanted."""
+        with torch.autocast(self.device.type, dtype=self._narrow, enabled=self._narrow is not None):
+            return self._run(*inputs)
+
+
+class NetworkRestorer(HeldNetwork):
     """A restorer around a network `network(color, depth) -> Prediction`.
 
     Colour is given as (b, 3, h, w) float32 RGB in [0, 1] and depth as (b, 1, h, w) float32 metres,
@@ -73,11 +103,8 @@ class NetworkRestorer:
         options: registry.MethodOptions,
         input_size: tuple[int, int] | None,
     ) -> None:
+        super().__init__(network, options)
         self.input_size = input_size
-        self.device = torch_device(options.device)
-        self._narrow = narrow_type(options.precision)
-        self.network = network.to(self.device).eval().requires_grad_(False)
-        self._run: Any = torch.compile(self.network) if options.compile else self.network
 
     def restore(self, views: Sequence[protocol.View]) -> list[protocol.Restored]:
         """Restore a batch of views, which all have one size unless the restorer has its own.
@@ -87,20 +114,8 @@ class NetworkRestorer:
         """
         if not views:
             return []
-        try:
-            return self._restore(views)
-        except torch.OutOfMemoryError as error:
-            raise ToolkitError(
-                f"the memory of {self.device} does not hold {len(views)} frames at once",
-                hint="make --batch-size smaller",
-            ) from error
-
-    @torch.inference_mode()
-    def _restore(self, views: Sequence[protocol.View]) -> list[protocol.Restored]:
-        inputs = self.inputs(views)
-        with torch.autocast(self.device.type, dtype=self._narrow, enabled=self._narrow is not None):
-            outputs = self._run(*inputs)
-        return self.answers(outputs, views)
+        with self._running(len(views)):
+            return self.answers(self._answer(*self.inputs(views)), views)
 
     def inputs(self, views: Sequence[protocol.View]) -> tuple[Tensor, ...]:
         """What the network is called with: colour and depth at the input size, on the device."""
@@ -260,13 +275,7 @@ def narrow_type(precision: str) -> torch.dtype | None:
     Raises:
         ToolkitError: no such precision.
     """
-    if precision not in _PRECISIONS:
-        raise ToolkitError(
-            "no such precision",
-            field="--precision",
-            value=precision,
-            hint=f"known: {', '.join(_PRECISIONS)}",
-        )
+    check_known(precision, _PRECISIONS, "no such precision", field="--precision", told="known:")
     return _PRECISIONS[precision]
 
 
@@ -299,59 +308,3 @@ def padded_to(images: Tensor, multiple: int) -> Tensor:
     h, w = images.shape[-2:]
     right, below = -w % multiple, -h % multiple
     return pad(images, (0, right, 0, below), mode="replicate") if right or below else images
-
-
-def mean_depth(depth: Tensor) -> Tensor:
-    """(b, 1, 1, 1) mean of each image's measured depths (b, 1, h, w), metres; 1 m without any."""
-    measured = (depth > 0).sum(dim=(1, 2, 3), keepdim=True)
-    mean = depth.sum(dim=(1, 2, 3), keepdim=True) / measured.clamp(min=1)
-    return mean.masked_fill(measured == 0, 1.0)
-
-
-def coarse_depth(depth: Tensor) -> Tensor:
-    """(b, 1, h, w) metres everywhere: means over 4x4 pixels of what was measured, enlarged.
-
-    What was measured beyond 2.5 times the image's mean is left out: one wrong match would fill a
-    whole hole. A pixel of that map without any measurement takes the mean of a region around it
-    that has one, the smallest of 8x8, 16x16 and so on; 1 m in an image without any.
-    """
-    size = depth.shape[-2:]
-    filled = mean_depth(depth)
-    known = ((depth > 0) & (depth < _FARTHEST * filled)).to(depth.dtype)
-    sums, counts = [_halved(_halved(depth * known))], [_halved(_halved(known))]
-    while max(sums[-1].shape[-2:]) > 1:
-        sums.append(_halved(sums[-1]))
-        counts.append(_halved(counts[-1]))
-    for total, count in zip(reversed(sums), reversed(counts), strict=True):
-        around = interpolate(filled, size=total.shape[-2:], mode="bilinear", align_corners=False)
-        filled = (total / count.clamp(min=1e-9)).where(count > 0, around)
-    return interpolate(filled, size=size, mode="bilinear", align_corners=False)
-
-
-def network_depth(depth: Tensor) -> Tensor:
-    """(b, 1, h, w) network input from depth in metres: relative to its mean, at most 2.5 times the
-    mean."""
-    mean = mean_depth(depth)
-    return relative_to(mean, torch.minimum(depth, _FARTHEST * mean))
-
-
-def relative_color(color: Tensor) -> Tensor:
-    """(b, 3, h, w) colour in [0, 1] less the image's mean colour, in quarters.
-
-    Most of an image is the table: what stands on it, glass too, is then what differs from 0.
-    """
-    return (color - color.mean(dim=(2, 3), keepdim=True)) / _CONTRAST
-
-
-def relative_to(reference: Tensor, depth: Tensor) -> Tensor:
-    """Metres (b, 1, h, w) as (depth / reference - 1) / 0.2; what was not measured is -5."""
-    return (depth / reference - 1) / _SPAN
-
-
-def in_metres(reference: Tensor, relative: Tensor) -> Tensor:
-    """The inverse of `relative_to`."""
-    return reference * (1 + _SPAN * relative)
-
-
-def _halved(image: Tensor) -> Tensor:
-    return avg_pool2d(image, 2, ceil_mode=True, count_include_pad=False)

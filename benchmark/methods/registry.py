@@ -3,9 +3,8 @@
 Errors are one line that names the method and the field.
 """
 
-from __future__ import annotations
-
 import hashlib
+import inspect
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,8 @@ from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 from benchmark.methods.protocol import GraspPlanner, PoseEstimator, Restorer
-from std_toolkit.errors import ToolkitError, missing_extra
+from std_toolkit.errors import ToolkitError, check_known, missing_extra
+from std_toolkit.io.documents import digest_file
 from std_toolkit.plugins import Registry
 
 T = TypeVar("T")
@@ -70,6 +70,13 @@ class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
     ) -> None:
         super().__init__(group, builtin)
         self.called, self.has, self.guide = called, has, guide
+
+    def about(self, name: str) -> str:
+        """A line about a method, or why it is not usable here."""
+        try:
+            return (inspect.getdoc(self.get(name)) or "").partition("\n")[0]
+        except ToolkitError as error:
+            return f"not usable here: {error.problem}"
 
     def make(self, name: str, options: MethodOptions | None = None) -> T:
         """A method by its name, by `package.module:Class`, or by `file.py:Class`.
@@ -201,10 +208,7 @@ def preset_of(presets: Mapping[str, Config], name: str) -> Config:
     Raises:
         ToolkitError: it has no such preset.
     """
-    if name not in presets:
-        raise ToolkitError(
-            "the method has no such preset", value=name, hint=f"it has {', '.join(presets)}"
-        )
+    check_known(name, presets, "the method has no such preset", told="it has")
     return presets[name]
 
 
@@ -229,14 +233,23 @@ def shipped_weights(method: str, preset: str) -> Path:
             f"no weights for {method}, preset {preset}, come with the toolkit",
             hint="give --weights",
         )
+    check_shipped(path, "weights")
+    return path
+
+
+def check_shipped(path: Path, what: str) -> None:
+    """Check a file that comes with the toolkit by the SHA-256 beside it.
+
+    Raises:
+        ToolkitError: it is not what was shipped.
+    """
     expected = path.with_name(path.name + ".sha256").read_text(encoding="ascii").split()[0]
     if sha256_of(path) != expected:
         raise ToolkitError(
-            "not the weights that were shipped: their SHA-256 differs",
+            f"not the {what} that were shipped: their SHA-256 differs",
             path=path,
             hint="install the toolkit again",
         )
-    return path
 
 
 def shipped_graphs(method: str, preset: str) -> dict[tuple[int, int], Path]:
@@ -275,3 +288,23 @@ def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
             if shipped_file(method, preset).is_file():
                 return preset
     return PUBLISHED
+
+
+def weights_digest(name: str, method: object, options: MethodOptions) -> str:
+    """Return the hash of the weight file of a method, either given or shipped.
+
+    Args:
+        name: name of the method.
+        method: the method; None if there is none, as for raw depth.
+        options: options that the method was created with.
+
+    Returns:
+        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); empty without a weight file.
+    """
+    if method is None:
+        return ""
+    # A user's method may use the file without a `weights` attribute.
+    weights = getattr(method, "weights", None) or options.weights
+    if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
+        weights = shipped
+    return digest_file(weights) if isinstance(weights, Path) else ""

@@ -1,14 +1,30 @@
-"""Residual blocks of ResNet-18, ResNet-34 and ResNet-50 (He et al., CVPR 2016).
+"""Normalised convolutions; residual blocks of ResNet-18, -34 and -50 (He et al., CVPR 2016).
 
 Keys and shapes match the ImageNet weights that torchvision publishes.
 """
-
-from __future__ import annotations
 
 from torch import Tensor, nn
 from torch.nn.functional import relu
 
 WIDENED = 4  # channels that leave a bottleneck, per channel inside
+
+
+def convolution(
+    inputs: int,
+    outputs: int,
+    kernel: int = 3,
+    stride: int = 1,
+    dilation: int = 1,
+    *,
+    bias: bool = False,
+) -> nn.Sequential:
+    """Convolution, batch normalisation, ReLU; a stride of 1 keeps the size."""
+    padding = dilation * (kernel // 2)
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, kernel, stride, padding, dilation, bias=bias),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(),
+    )
 
 
 class BasicBlock(nn.Module):

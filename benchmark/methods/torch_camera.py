@@ -3,8 +3,6 @@
 `Camera` computes in float64 NumPy; networks and losses take its K at their image size.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

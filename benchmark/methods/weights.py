@@ -1,7 +1,5 @@
 """Trained weights: shipped ones, and files given by the user."""
 
-from __future__ import annotations
-
 import argparse
 import pickle
 from collections.abc import Callable, Mapping, Sequence

@@ -3,8 +3,6 @@
 Scenes are independent, so that all frames of a scene are swapped together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations_with_replacement
 

@@ -8,8 +8,6 @@ scene show the same objects from nearby viewpoints, so that their errors are cor
 that treats them as independent is several times too narrow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

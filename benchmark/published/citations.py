@@ -1,7 +1,5 @@
 """`citations.bib`: what to cite for methods, data sets and protocols that a run used."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Sequence

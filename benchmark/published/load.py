@@ -9,14 +9,12 @@ and Grasping Specular and Transparent Objects", ECCV 2022, main paper and supple
 Category-level poses as the paper prints them, in the names and units of this benchmark.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
 import pandas as pd
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import check_known
 
 _FILE = Path(__file__).with_name("published_results.csv")
 _BOP_FILE = Path(__file__).with_name("published_bop.csv")
@@ -84,14 +82,8 @@ def published_table(table: str) -> pd.DataFrame:
     """
     rows = published_rows()
     tables = rows.loc[rows["task"] == "depth_restoration", "table"]
-    if table not in set(tables):
-        raise ToolkitError(
-            "no such table of depth restoration",
-            path=_FILE,
-            field="table",
-            value=table,
-            hint=f"it has {', '.join(dict.fromkeys(tables))}",
-        )
+    problem = "no such table of depth restoration"
+    check_known(table, tables, problem, path=_FILE, field="table", told="it has")
     rows = rows[(rows["task"] == "depth_restoration") & (rows["table"] == table)]
     wide = _wide(rows, "dataset")
     # As printed, not by the alphabet.

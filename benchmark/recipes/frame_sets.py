@@ -16,7 +16,7 @@ import msgspec
 
 from benchmark.data.splits import get_split, open_split, where_to_get
 from benchmark.recipes.recipe import BASE_SETS, Recipe, Scale
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.runner import die_with_parent
@@ -170,13 +170,9 @@ def named_folders(
         name, equals, folder = text.partition("=")
         if not equals or Path(text).exists():  # a folder's own name may hold "="
             name, folder = "", text
-        if name and name not in known:
-            raise ToolkitError(
-                f"the recipe has no such {what}",
-                field=field,
-                value=name,
-                hint=f"it has {', '.join(known)}",
-            )
+        if name:
+            problem = f"the recipe has no such {what}"
+            check_known(name, known, problem, field=field, told="it has")
         if not Path(folder).is_dir():
             raise ToolkitError("no such folder", path=folder)
         found.append((name, Path(folder)))

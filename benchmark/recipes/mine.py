@@ -1,7 +1,5 @@
 """`std-train mine`: shipped weights fine-tuned on your objects, scored before and after."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,10 +12,10 @@ from benchmark.evaluation.tasks.depth_results import RunResult, read_run, summar
 from benchmark.methods.registry import MethodOptions, shipped_weights
 from benchmark.recipes.frame_sets import FrameSet
 from benchmark.recipes.recipe_plan import Entry, Pack
-from benchmark.recipes.recipe_run import Trained, make_pack, train
+from benchmark.recipes.recipe_run import Trained, make_pack, scoring_devices, train
 from benchmark.training.options import BatchNormStatistics, MineOptions, TrainOptions
 from benchmark.training.run_files import BEST
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 
 PRESET = "compact"
 # Seeds of the scenes that are scored begin this far from those that are trained on.
@@ -91,13 +89,8 @@ def fine_tune(options: MineOptions) -> MineReport:
         ToolkitError: no shipped weights of the method, meshes or scenes that cannot be used, a
             simulator that cannot run, or a folder that belongs to other options.
     """
-    if options.method not in TUNINGS:
-        raise ToolkitError(
-            "no fine-tuning of this method",
-            field="--method",
-            value=options.method,
-            hint=f"choose one of {', '.join(TUNINGS)}",
-        )
+    problem, told = "no fine-tuning of this method", "choose one of"
+    check_known(options.method, TUNINGS, problem, field="--method", told=told)
     shipped = shipped_weights(options.method, PRESET)
     training, tests = plan_sets(options)
     problems: dict[str, str] = {}
@@ -240,7 +233,7 @@ def _score(
             protocol="strict",
             label=label,
             out=report.results / frames.name,
-            devices=_devices(options),
+            devices=scoring_devices(options.machine)[:1],
             limit=None,
             speed=False,
         )
@@ -254,14 +247,6 @@ def _score(
         raise ToolkitError(next(iter(done.failed.values())), path=report.results)
     before, after = (read_run(run.folder) for run in done.finished)
     return _compared(before, after)
-
-
-def _devices(options: MineOptions) -> tuple[str, ...]:
-    import torch
-
-    if options.machine.accelerator != "cpu" and torch.cuda.is_available():
-        return ("cuda:0",)
-    return ("cpu",)
 
 
 def _compared(before: RunResult, after: RunResult) -> Score:

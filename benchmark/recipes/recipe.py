@@ -4,10 +4,7 @@ A recipe is a TOML file; those of the toolkit are in `experiments/`. A `Scale`, 
 `scales.toml`, sets the size of a run: scenes, views, image size, steps and size of the networks.
 """
 
-from __future__ import annotations
-
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -15,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 
 from benchmark.training.options import Machine, Precision
-from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.errors import ToolkitError, check_known, check_options
 from std_toolkit.jobs.options import JobOptions
 
 FOLDER = Path(__file__).with_name("experiments")
@@ -150,14 +147,14 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         for name, derived in self.sets.items():
             if name in BASE_SETS:
                 raise ToolkitError("the scale has this set", field="sets", value=name)
-            _check_known("set", derived.like, BASE_SETS, f"sets.{name}.like")
+            check_known(derived.like, BASE_SETS, "no such set", field=f"sets.{name}.like")
         for name, pose in self.poses.items():
             depths = (*POSE_DEPTHS, *self.variants)
-            _check_known("depth", pose.depth, depths, f"poses.{name}.depth")
+            check_known(pose.depth, depths, "no such depth", field=f"poses.{name}.depth")
         used = {part: v.set for part, v in trained.items()}
         used |= {f"tests.{n}": t.set for n, t in self.tests.items() if t.set}
         for part, value in used.items():
-            _check_known("set", value, (*BASE_SETS, *self.sets), f"{part}.set")
+            check_known(value, (*BASE_SETS, *self.sets), "no such set", field=f"{part}.set")
         scored = {*self.variants, *self.baselines}
         for pair in self.compare:
             if not any(set(pair) <= names for names in (scored, set(self.poses))):
@@ -170,13 +167,6 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 raise ToolkitError(
                     "must lie above 0 and at most 1", field=f"{part}.share", value=variant.share
                 )
-
-
-def _check_known(kind: str, value: str, known: Sequence[str], field: str) -> None:
-    if value not in known:
-        raise ToolkitError(
-            f"no such {kind}", field=field, value=value, hint=f"one of {', '.join(known)}"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,9 +260,7 @@ def read_toml(path: Path, type_: type[T]) -> T:
         problem, _, at = str(error).partition(" - at `$")
         raise ToolkitError(problem, path=path, field=at.strip("`.") or None) from error
     except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=error.field, value=error.value, hint=error.hint
-        ) from error
+        raise error.revised(path=path) from error
     except ValueError as error:  # msgspec.DecodeError too
         raise ToolkitError(f"no TOML: {error}", path=path) from error
 
@@ -353,5 +341,5 @@ def get_scale(name: str) -> Scale:
         ToolkitError: there is none.
     """
     known = scales()
-    _check_known("scale", name, tuple(known), "--scale")
+    check_known(name, known, "no such scale", field="--scale")
     return known[name]

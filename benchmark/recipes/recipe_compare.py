@@ -4,8 +4,6 @@ Every pair is compared on the frames that both were scored on. The interval of t
 the p-value are over scenes, because frames of one scene show the same objects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping, Sequence
 from math import isnan, nan
 from typing import Any
@@ -19,9 +17,8 @@ from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods, holm
 from benchmark.recipes.recipe import Printed
 from benchmark.recipes.recipe_plan import Entry, RecipePlan
-from benchmark.recipes.recipe_poses import published_poses
 from benchmark.recipes.recipe_run import Outcome
-from benchmark.recipes.recipe_table import RANKED_BY, printed_rows
+from benchmark.recipes.recipe_table import RANKED_BY, SUBSET_OF, printed_rows, published_poses
 from benchmark.recipes.targets import Target
 from benchmark.report.leaderboard import SIGNIFICANT
 from benchmark.report.parts.depth_tables import MAIN_SUBSETS, OBJECTS
@@ -39,7 +36,6 @@ COLUMNS = (
 )  # fmt: skip
 AS_PUBLISHED, OPPOSITE, UNDECIDED = "as published", "opposite to the paper", "undecided"
 POSE_FIGURES = ("iou50", "5deg5cm", "10deg5cm")
-_SUBSET_OF = {ALL: "all", HARD: "specular_transparent"}
 _POSES_OF = {"all": "all objects", "specular_transparent": "specular and transparent objects"}
 _PAPERS = "paper"
 _SAMPLES = 1000
@@ -194,7 +190,7 @@ def _pose_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict[
         if len(two) < 2:
             continue
         # Some tables of the paper are of all objects alone.
-        is_printed = not len(printed) or _SUBSET_OF[HARD] in set(printed["subset"])
+        is_printed = not len(printed) or SUBSET_OF[HARD] in set(printed["subset"])
         subset = HARD if is_printed and _has_hard(two[0]) else ALL
         for protocol in plan.recipe.pose_protocols:
             of_a, of_b = (score_run(r, get_pose_protocol(protocol), subset) for r in two)
@@ -205,7 +201,7 @@ def _pose_rows(plan: RecipePlan, outcome: Outcome, target: Target) -> list[dict[
             for figure in (f for f in POSE_FIGURES if f in found.columns):
                 difference, low, high, p = found.of(figure)
                 row = {
-                    "subset": _SUBSET_OF[subset], "difference": difference, "low": low,
+                    "subset": SUBSET_OF[subset], "difference": difference, "low": low,
                     "high": high, "p": p, "frames": found.frames, "scenes": found.scenes,
                 }  # fmt: skip
                 pair = (poses[a], poses[b])

@@ -3,8 +3,6 @@
 It is made from the files of the recipes (`table.md`, `differences.csv`, `costs.json`) alone.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The tables of a recipe as CSV, Markdown and a page; each states the scale."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +12,6 @@ from benchmark.evaluation.tasks.depth_results import RunResult
 from benchmark.recipes import (
     recipe_compare,
     recipe_plan,
-    recipe_poses,
     recipe_run,
     recipe_table,
 )
@@ -43,8 +40,8 @@ def write_pages(plan: recipe_plan.RecipePlan, outcome: recipe_run.Outcome) -> st
     titles = {target.name: target.title for target in plan.targets}
     compared = recipe_compare.comparison_tables(differences, titles)
     plan.folder.mkdir(parents=True, exist_ok=True)
-    poses = recipe_poses.pose_rows(plan, outcome)
-    pose_tables = recipe_poses.pose_tables(plan, poses) if plan.poses else []
+    poses = recipe_table.pose_rows(plan, outcome)
+    pose_tables = recipe_table.pose_tables(plan, poses) if plan.poses else []
     sections = _sections(plan, outcome, rows, compared, pose_tables)
     texts = {
         CSV: rows.to_csv(index=False, lineterminator="\n"),

@@ -28,7 +28,7 @@ from benchmark.recipes.recipe import (
 )
 from benchmark.recipes.targets import Target, find_targets
 from benchmark.training.run_files import BEST
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 
 if TYPE_CHECKING:
     from benchmark.training.options import TrainOptions
@@ -159,13 +159,9 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     scale = get_scale(config.scale)
     if recipe.table:
         published_table(recipe.table)  # fail on a wrong name before any work
-    if strange := [v for v in config.only if v not in recipe.variants]:
-        raise ToolkitError(
-            "the recipe has no such variant",
-            field="--only",
-            value=strange[0],
-            hint=f"it has {', '.join(recipe.variants)}",
-        )
+    for variant in config.only:
+        problem = "the recipe has no such variant"
+        check_known(variant, recipe.variants, problem, field="--only", told="it has")
     out = config.out / config.scale
     train = parse_given(config.train_data, "train", recipe)
     test = parse_given(config.test_data, "test", recipe)

@@ -204,13 +204,8 @@ def make_pack(pack: Pack, jobs: JobOptions) -> dict[str, str]:
     except ToolkitError as error:
         if error.field not in PackSetup.__struct_fields__:
             raise
-        raise ToolkitError(
-            error.problem,
-            path=error.path,
-            field=error.field,
-            value=error.value,
-            hint="the frames are others than it was made of: choose another --out",
-        ) from error
+        hint = "the frames are others than it was made of: choose another --out"
+        raise error.revised(hint=hint) from error
     logger.info("pack %s: %d frames", pack.folder.name, packed.frames)
     return packed.failed
 
@@ -248,3 +243,12 @@ def train(entry: Entry, machine: Machine) -> Trained:
         batch_size=config.optimization.batch_size,
         best_step=best.get("step"),
     )
+
+
+def scoring_devices(machine: Machine) -> tuple[str, ...]:
+    """Torch devices to score on, where networks are trained on `machine`."""
+    import torch
+
+    if machine.accelerator != "cpu" and torch.cuda.is_available():
+        return tuple(f"cuda:{i}" for i in range(torch.cuda.device_count()))
+    return ("cpu",)

@@ -1,12 +1,17 @@
-"""Prints the steps and the expected cost of a recipe before it runs."""
+"""Runs a recipe, or tells its steps and their expected cost before."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark.recipes import recipe, recipe_page, recipe_plan
+import pandas as pd
+
+from benchmark.recipes import recipe, recipe_page, recipe_plan, recipe_run
+from benchmark.training import check_installed
 from benchmark.training.options import TrainCommand
 from benchmark.training.run_files import LAST
 from benchmark.training.shards import PACK
@@ -27,6 +32,32 @@ _SHAPE_S, _SHAPES = 1.6, 8 * 250
 
 # Colour as PNG of a picture larger than the labels.
 _COLOR_BYTES = 2.0
+
+
+def perform(options: recipe.RecipeConfig) -> tuple[str | object, Mapping[str, str]]:
+    """Run a recipe, or tell what it would do, or list recipes.
+
+    Returns:
+        A text, or records for JSON; and error lines, by what they are of.
+
+    Raises:
+        ToolkitError: no such recipe or scale, data that are not there, or a step that fails.
+    """
+    if not options.recipe:
+        return recipe_records() if options.json else recipe_list(), {}
+    check_installed()
+    devices = recipe_run.scoring_devices(options.machine)
+    plan = recipe_plan.plan_recipe(replace(options, devices=devices))
+    if options.plan:
+        return plan_text(plan), {}
+    tables = [""]
+    outcome = recipe_run.run_recipe(
+        plan, options.machine.shown(), options.jobs,
+        after=lambda outcome: tables.append(recipe_page.write_pages(plan, outcome)),
+    )  # fmt: skip
+    if options.json:
+        return pd.read_csv(plan.folder / recipe_page.CSV).to_dict("records"), outcome.problems
+    return tables[-1], outcome.problems
 
 
 def simulation_s(options: SimulationOptions, scenes: int) -> float:

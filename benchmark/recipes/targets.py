@@ -1,7 +1,5 @@
 """Frames of each test: the user's data, or simulated ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

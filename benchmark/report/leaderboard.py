@@ -1,7 +1,5 @@
 """The leaderboard: one row per method, measured or published, on every split, grid and subset."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The report: one self-contained HTML page with a part for each task."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -87,6 +85,16 @@ def make_parts(folders: Sequence[Path], *, published: bool = True) -> list[Repor
         if not any(folder in found for found in holds.values()):
             raise ToolkitError("no results of std-bench here", path=folder)
     return [task.part(found, published=published) for task, found in holds.items() if found]
+
+
+def markdown_tables(folders: Sequence[Path]) -> str:
+    """Return the Markdown tables of all tasks that have results in these folders; may be none.
+
+    Raises:
+        ToolkitError: as `make_parts`.
+    """
+    files = [item for part in make_parts(folders) for item in part.files.items()]
+    return "\n\n".join(text for name, text in files if name.endswith(".md"))
 
 
 def render_page(parts: Sequence[ReportPart]) -> str:

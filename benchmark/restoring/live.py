@@ -1,7 +1,5 @@
 """`std-restore live`: restore the depth of a connected camera, frame by frame."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

@@ -6,8 +6,6 @@ within the safetensors file beside them (`write_graph`). A user's file holds its
 Source: "External Data" and "Intermediate Representation", onnx.ai.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import struct
@@ -20,7 +18,9 @@ import numpy as np
 
 from benchmark.methods.depth.onnx_network import INPUTS, OUTPUTS, OnnxNetwork
 from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions, make_restorer, sha256_of
+from benchmark.methods.registry import MethodOptions, make_restorer, preset_for, sha256_of
+from benchmark.restoring.options import ExportOptions
+from benchmark.restoring.restorer import settings_of
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
@@ -31,6 +31,25 @@ LARGEST_DIFFERENCE = 1e-4
 
 _OPSET = 18  # of onnxruntime 1.14 and later
 _NAMED = "network."  # before the names of weights in the exported module
+
+
+def export_choice(options: ExportOptions) -> str:
+    """Write what the options of a command choose; returns a line on it for the terminal.
+
+    Raises:
+        ToolkitError: as `export_onnx`.
+    """
+    choice = options.choice
+    settings = settings_of(choice.settings)
+    if choice.size is not None:
+        settings["input_size"] = f"{choice.size[0]},{choice.size[1]}"
+    preset = preset_for(choice.method, choice.preset, choice.weights)
+    made = MethodOptions(preset=preset, weights=choice.weights, settings=settings)
+    found = export_onnx(choice.method, made, options.out)
+    told = [f"depth differs from torch's by at most {found['depth']:.1e} m"]
+    if "confidence" in found:
+        told.append(f"confidence by {found['confidence']:.1e}")
+    return f"{options.out}: {', '.join(told)}"
 
 
 def export_onnx(method: str, options: MethodOptions, out: Path) -> dict[str, float]:

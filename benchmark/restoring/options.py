@@ -1,7 +1,5 @@
 """Options of `std-restore`; the module imports no heavy package."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal

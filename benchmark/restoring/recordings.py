@@ -1,7 +1,5 @@
 """Frames of a recording: scenes, folders of images, data sets, files of ROS and librealsense."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,18 +1,25 @@
-"""`std-restore`: restore all frames of recordings, in parallel, resumed after an interruption."""
+"""`std-restore`: restore all frames of recordings, in parallel, resumed after an interruption.
 
-from __future__ import annotations
+A video shows colour, raw and restored depth side by side.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.evaluation.depth_panels import DepthScale, range_of, restored_strip
 from benchmark.published.citations import write_citations
 from benchmark.restoring.options import RestoreOptions
 from benchmark.restoring.outputs import (
     RECORD,
+    FramePaths,
     FrameRecord,
     RestoreSetup,
     paths_of,
@@ -28,9 +35,9 @@ from benchmark.restoring.recordings import (
     open_recordings,
 )
 from benchmark.restoring.restorer import Restorer
-from benchmark.restoring.video import write_video
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
+from std_toolkit.io.images import read_depth
 from std_toolkit.jobs import run_jobs
 from std_toolkit.jobs.artefact import begin
 
@@ -69,6 +76,29 @@ class RestoreReport:
         rows = list(self.frames[recording].values())
         names = ("measured", "kept", "filled", "replaced", "empty")
         return {n: sum(getattr(r, n) for r in rows) / len(rows) for n in names} if rows else {}
+
+    def lines(self) -> list[str]:
+        """A line on each recording, for the terminal."""
+        found = []
+        for name, out in self.folders.items():
+            shares = self.shares(name)
+            told = ", ".join(f"{100 * shares[key]:.1f} % {key}" for key in list(shares)[1:])
+            text = f"{len(self.frames[name])} frames; of the pixels {told}"
+            found.append(f"{out}: {text if shares else 'no frame restored'}")
+        return found
+
+    def records(self) -> list[dict[str, Any]]:
+        """The same, for JSON."""
+        return [
+            {
+                "recording": name,
+                "out": str(out),
+                "frames": len(self.frames[name]),
+                "failed": [k for k in self.failed if k.startswith(f"{name}/")],
+                **self.shares(name),
+            }
+            for name, out in self.folders.items()
+        ]
 
 
 def restore_recordings(options: RestoreOptions) -> RestoreReport:
@@ -201,3 +231,65 @@ def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: Exi
     if recording.frames[0].undistortion is not None:
         write_intrinsics(out / INTRINSICS, recording.frames[0].camera)
     sweep_temporaries(out)
+
+
+VIDEO = "video.mp4"
+
+# Frames whose depth sets the range of the colours, which must not change from frame to frame.
+_SAMPLED = 9
+
+
+def write_video(
+    out: Path, done: Sequence[tuple[FrameFiles, FramePaths, float]], fps: float
+) -> Path:
+    """Write `video.mp4` of restored frames.
+
+    Args:
+        out: folder of the recording's results.
+        done: frames with the paths and the unit of their results, in order.
+        fps: frames per second.
+
+    Raises:
+        ToolkitError: an image cannot be read, or OpenCV cannot write MP4.
+    """
+    path = out / VIDEO
+    samples = [_restored(*done[i][1:]) for i in _spread(len(done))]
+    scale = range_of(np.concatenate([depth[depth > 0] for depth in samples]))
+    with atomic_path(path) as temporary:
+        _encode(temporary, done, fps, scale)
+    return path
+
+
+def _encode(
+    path: Path,
+    done: Sequence[tuple[FrameFiles, FramePaths, float]],
+    fps: float,
+    scale: DepthScale,
+) -> None:
+    writer = None
+    size = (0, 0)
+    for frame, paths, unit in done:
+        color, raw = frame.read()
+        strip = restored_strip(color, raw, _restored(paths, unit), scale=scale)
+        # Encoders halve colour, so that both sides must be even.
+        picture = strip[: strip.shape[0] // 2 * 2, : strip.shape[1] // 2 * 2]
+        if writer is None:
+            size = (picture.shape[1], picture.shape[0])
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+            if not writer.isOpened():
+                raise ToolkitError(
+                    "OpenCV cannot write MP4 here", path=path, hint="leave out --video"
+                )
+        if (picture.shape[1], picture.shape[0]) != size:
+            picture = np.asarray(cv2.resize(picture, size), np.uint8)
+        writer.write(np.ascontiguousarray(picture[..., ::-1]))
+    if writer is not None:
+        writer.release()
+
+
+def _restored(paths: FramePaths, unit: float) -> NDArray[np.float32]:
+    return read_depth(paths.depth, scale=unit)
+
+
+def _spread(count: int) -> list[int]:
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _SAMPLED))})

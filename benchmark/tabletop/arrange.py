@@ -1,7 +1,5 @@
 """Objects on the table in one round: sampled from its seed, dropped until they are at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

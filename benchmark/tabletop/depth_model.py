@@ -8,8 +8,6 @@ parameters were fitted to frames of `std-sim` (`perf/clearing_depth.py` fits and
 limits of the model are listed in docs/grasping.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path

@@ -6,8 +6,6 @@ reached, which ends the attempt. The fingers are coupled, as in the Panda grippe
 limited force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -147,37 +145,26 @@ class JawTrial(Trial):
     """An attempt with a parallel jaw; see `execute`."""
 
     servos = (*AXES, *FINGERS)
-
-    def __init__(
-        self,
-        objects: Sequence[PhysicalObject],
-        poses: Sequence[SE3],
-        grasp: Grasps,
-        masses_kg: Sequence[float] | None,
-        gripper: Gripper,
-        guarded: bool = True,
-    ) -> None:
-        limits = JawSettings.current()
-        self._gripper, self._guarded = gripper, guarded
-        self._width = float(np.clip(grasp.widths[0], 2 * limits.shut_m, gripper.max_width))
-        super().__init__(objects, poses, grasp, masses_kg)
+    tool: Gripper
 
     def add_tool(self, spec: Any) -> None:
-        add_hand(spec, self._gripper, self.R)
+        add_hand(spec, self.tool, self.R)
 
     def open_tool(self, place: int) -> None:
+        shut = JawSettings.current().shut_m
+        width = float(np.clip(self.grasp.widths[0], 2 * shut, self.tool.max_width))
         self._fingers = slice(place, place + 2)
-        self.data.qpos[self._fingers] = self._width / 2
-        self.data.ctrl[3:] = self._width / 2
+        self.data.qpos[self._fingers] = width / 2
+        self.data.ctrl[3:] = width / 2
 
     def run(self) -> Execution:
         self._keep("pre-grasp")
         if start := self._hits_at_start():
             return self._ended(start)
         blocked = ""
-        if not self._move(self.tip, APPROACH_M_S, stops=True, guarded=self._guarded):
+        if not self._move(self.tip, APPROACH_M_S, stops=True, guarded=self.guarded):
             blocked = self._blocked()
-            if not self._guarded:
+            if not self.guarded:
                 self._keep("stopped")
                 return self._ended(blocked)
             self._back_off()

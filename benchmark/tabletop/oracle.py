@@ -3,8 +3,6 @@
 Its input is points and outward normals of the true surfaces instead of an image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,8 +1,6 @@
 """One round of clearing: capture, restore, plan, grasp, until the table is empty or ten attempts
 are made."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 

@@ -4,8 +4,6 @@ Later views of a table depend on the grasps before them. The name of a view ther
 hash of its sensor depth: depth that was made for another state of the table is never taken for it.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ The plane of the table is found as for labelling. Labels overlap or float by som
 objects come to rest from their labelled poses.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path

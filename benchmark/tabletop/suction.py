@@ -5,15 +5,11 @@ meshes where it stopped. A sealed cup is fixed to the object, and lets go once t
 torque between them is more than it holds.
 """
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmark.metrics.grasp.grasp import Grasps
 from benchmark.metrics.grasp.suction import SuctionCup, seal_at
 from benchmark.tabletop.trial import (
     APPROACH_M_S,
@@ -29,7 +25,6 @@ from benchmark.tabletop.trial import (
     Trial,
     add_carriage,
 )
-from sensors.physics import PhysicalObject
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
@@ -83,22 +78,13 @@ def add_cup(spec: Any, cup: SuctionCup, R: Array, objects: int) -> None:
 class SuctionTrial(Trial):
     """An attempt with a suction cup; see `benchmark.tabletop.grasp.execute`."""
 
-    def __init__(
-        self,
-        objects: Sequence[PhysicalObject],
-        poses: Sequence[SE3],
-        grasp: Grasps,
-        masses_kg: Sequence[float] | None,
-        cup: SuctionCup,
-    ) -> None:
-        self._cup = cup
-        self._sealed: int | None = None
-        self._lip = np.zeros(3)
-        self._overload = 0
-        super().__init__(objects, poses, grasp, masses_kg)
+    tool: SuctionCup
+    _sealed: int | None = None
+    _lip = np.zeros(3)
+    _overload = 0
 
     def add_tool(self, spec: Any) -> None:
-        add_cup(spec, self._cup, self.R, len(self.objects))
+        add_cup(spec, self.tool, self.R, len(self.objects))
 
     def run(self) -> Execution:
         self._keep("pre-grasp")
@@ -135,8 +121,8 @@ class SuctionTrial(Trial):
         for obj, T in zip(self.objects, self._poses(), strict=True):
             caster.add(T @ (obj.asset.vertices * obj.diagonal_m), obj.asset.faces)
         at = SE3(self.R, self.data.qpos[self._carriage].copy())
-        found = seal_at(caster, at, self._cup)
-        return found.mesh if found.is_tight(self._cup) else None
+        found = seal_at(caster, at, self.tool)
+        return found.mesh if found.is_tight(self.tool) else None
 
     def _fix(self, index: int) -> None:
         """Fix the object to the cup where they are."""
@@ -159,7 +145,7 @@ class SuctionTrial(Trial):
         # Long waits are cut, so that the load is watched.
         for _ in range(0, count, 5):
             super()._step(min(5, count))
-            self._overload = 0 if self._cup.holds(*self.load()) else self._overload + 1
+            self._overload = 0 if self.tool.holds(*self.load()) else self._overload + 1
             if self._overload >= SuctionSettings.current().overloaded:
                 self.data.eq_active[self.model.equality(f"seal{self._sealed}").id] = 0
                 self._sealed = None

@@ -4,8 +4,6 @@ Servos of limited force move the tool along the three world axes with fixed orie
 with a stiff wrist in a straight move.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -151,6 +149,8 @@ class Trial:
         poses: T_world_obj, at rest.
         grasp: one grasp, in the world frame.
         masses_kg: masses of the objects; equal by default.
+        tool: that grasps.
+        guarded: a jaw stops at a contact, backs off and closes, instead of giving up.
     """
 
     # Names of all servos, those of the carriage first.
@@ -162,10 +162,13 @@ class Trial:
         poses: Sequence[SE3],
         grasp: Grasps,
         masses_kg: Sequence[float] | None,
+        tool: Any,
+        guarded: bool = True,
     ) -> None:
         import mujoco
 
         self._mujoco = mujoco
+        self.tool, self.grasp, self.guarded = tool, grasp, guarded
         self.objects, self.start = tuple(objects), tuple(poses)
         self.R, self.approach = grasp.rotations[0], grasp.approaches[0]
         self.tip = grasp.tips[0]

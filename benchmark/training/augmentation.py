@@ -6,8 +6,6 @@ equivalent, the nearest one is used: plasma-fractal noise for simplex noise, one
 `motion k3`. Geometry as published for NLSPN on indoor scenes: rotation, mirroring, enlargement.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """Callbacks of a training: validation, pictures, checkpoints, logs."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Iterator
@@ -14,9 +12,9 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from benchmark.methods.weights import save_weights
-from benchmark.training.batch_norm import BATCH_NORM_FRAMES
 from benchmark.training.module import RestorerTraining
 from benchmark.training.run_files import BEST, CHECKPOINT, SCORES, Rows, Speed
+from benchmark.training.step import BATCH_NORM_FRAMES
 from benchmark.training.validation import Validator
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document

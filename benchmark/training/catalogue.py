@@ -1,7 +1,5 @@
 """Registry of the networks that can be trained."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Configuration of a training, with the optimizer and the learning rate schedule."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

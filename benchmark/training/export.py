@@ -3,8 +3,6 @@
 Also gives the `std-bench` command that uses the weights.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re
@@ -17,10 +15,10 @@ from safetensors.torch import save
 
 from benchmark.methods.registry import grasp_planners, pose_methods, restorers, sha256_of
 from benchmark.methods.weights import read_weights
-from benchmark.training.batch_norm import BATCH_NORM_FRAMES
 from benchmark.training.config import CONFIG
 from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
+from benchmark.training.step import BATCH_NORM_FRAMES
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic

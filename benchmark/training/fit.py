@@ -1,7 +1,5 @@
 """A training, from its configuration to the best weights."""
 
-from __future__ import annotations
-
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The frames of a scene are either all for training or all for validation.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence

@@ -3,8 +3,6 @@
 All random numbers of a step are a function of its number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -12,9 +10,14 @@ import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
-from benchmark.training import batch_norm
 from benchmark.training.config import TrainConfig, seed_of
-from benchmark.training.step import Batch, ModelInput, StepFunction, model_input
+from benchmark.training.step import (
+    Batch,
+    ModelInput,
+    StepFunction,
+    model_input,
+    recompute_batch_norm,
+)
 from std_toolkit.errors import ToolkitError
 
 _NAMED = 8  # frames named in an error
@@ -57,7 +60,7 @@ class RestorerTraining(pl.LightningModule):
             self._change_color.append(ColorAugmentation())
 
     def recompute_batch_norm(self, batches: Iterable[Batch]) -> None:
-        """Recompute the batch-norm statistics; see `benchmark.training.batch_norm`."""
+        """Recompute the batch-norm statistics; see `benchmark.training.step`."""
         info = self.config.step_info(self.global_step)
 
         def run(batch: Batch) -> None:
@@ -65,7 +68,7 @@ class RestorerTraining(pl.LightningModule):
             with self.trainer.precision_plugin.forward_context():
                 self.step(self.network, self.loss, model_input(on), info)
 
-        batch_norm.recompute_batch_norm(self.network, batches, run)
+        recompute_batch_norm(self.network, batches, run)
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         part = batch_idx % self.config.accumulate

@@ -3,12 +3,11 @@
 The command line is made from these dataclasses; see `std_toolkit.cli.command_options`.
 """
 
-from __future__ import annotations
-
+import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import msgspec
 
@@ -113,6 +112,10 @@ class Machine:
     """a progress bar"""
     in_ray: bool = field(default=False, metadata=_NO_OPTION)
     """Ray Train started this process and knows how many there are"""
+
+    def shown(self) -> Self:
+        """The same, with a progress bar where there is a terminal."""
+        return replace(self, progress=sys.stderr.isatty())
 
 
 @dataclass(frozen=True, kw_only=True)

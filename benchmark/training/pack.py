@@ -1,7 +1,5 @@
 """Packs the frames of a split for training: resized once, then read without decoding."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, fields
 from functools import partial

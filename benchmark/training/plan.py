@@ -1,7 +1,5 @@
 """Resolves the options of `std-train` to a training."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

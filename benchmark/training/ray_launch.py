@@ -1,6 +1,4 @@
-"""Training on the processes of a Ray cluster with Ray Train (extra `cluster`)."""
-
-from __future__ import annotations
+"""Runs a training on this machine, or in processes of a Ray cluster by Ray Train (`cluster`)."""
 
 import logging
 import shutil
@@ -9,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmark.training.fit import fit
-from benchmark.training.options import Machine, TrainOptions
+from benchmark.training.export import bench_command
+from benchmark.training.fit import fit, process_rank
+from benchmark.training.options import Machine, TrainCommand, TrainOptions
 from benchmark.training.plan import plan_training
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError
@@ -137,3 +136,36 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
     for one in inner:
         if isinstance(one, BaseException) and one is not error:
             yield from _chain(one)
+
+
+def run_training(options: TrainCommand) -> str | None:
+    """Train as planned, or go on.
+
+    Returns:
+        The best weights and the command that scores them; None in the processes beside the first.
+
+    Raises:
+        ToolkitError: as `plan_training`, or the training fails.
+    """
+    is_first = process_rank() == 0
+    if not is_first:  # the first of several processes reports for all
+        logger.setLevel(logging.WARNING)
+    config, data, beginning = plan_training(options)
+    logger.info(
+        "%d frames to train on, %d to validate; %d steps of %d frames",
+        len(data.of_training),
+        len(data.of_validation),
+        config.steps,
+        config.optimization.batch_size,
+    )
+    machine = options.machine.shown()
+    if options.engine == "ray":
+        best = fit_on_ray(options.out, options, machine, options.ray_address)
+    else:
+        best = fit(options.out, config, data, machine, beginning)
+    if not is_first:
+        return None
+    settings = " ".join(f"{name}={value}" for name, value in config.settings.items())
+    option = f" --set {settings}" if settings else ""
+    command = bench_command(options.method)
+    return f"{best}: {command} --preset {options.preset} --weights {best}{option}"

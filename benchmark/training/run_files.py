@@ -3,8 +3,6 @@
 The log survives interruptions.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import time

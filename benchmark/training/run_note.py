@@ -1,7 +1,5 @@
 """A record of the data and the machine of a training, kept beside the weights."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -5,8 +5,6 @@
 <pack>/shard-00000.json   names of the frames; written last, when the shard is complete
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Validation on held-out frames: errors and pictures."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -55,9 +53,13 @@ class Validator(ABC):
     def scores(self, states: np.ndarray) -> dict[str, float]:
         """What summed states mean, by name; NaN for what is not known."""
 
-    @abstractmethod
+    # Name of the score that networks are ranked by; lower is better.
+    main: str
+
     def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        """Name and value of what networks are ranked by; lower is better."""
+        """Name and value of what networks are ranked by; infinite if it is not known."""
+        value = scores[self.main]
+        return self.main, math.inf if math.isnan(value) else value
 
     @abstractmethod
     def pictures(

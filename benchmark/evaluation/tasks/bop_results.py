@@ -1,7 +1,5 @@
 """Figures of BOP result files: recalls, precisions, objects and intervals, from the table."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -26,6 +24,13 @@ from std_toolkit.io.documents import read_document, write_document
 FOLDER, ERRORS = "bop", "errors.parquet"
 RECALLS = ("vsd", "mssd", "mspd")
 FOUND = tuple(f"found_{name}" for name in RECALLS)
+# Figures, and what bop_toolkit calls them.
+_FIGURES = {
+    **{f"ar_{name}": f"bop19_average_recall_{name}" for name in RECALLS},
+    "ar": "bop19_average_recall",
+    **{f"ap_{name}": f"bop24_mAP_{name}" for name in RECALLS[1:]},
+    "ap": "bop24_mAP",
+}
 SCORES_19, SCORES_24 = "scores_bop19.json", "scores_bop24.json"
 
 
@@ -149,16 +154,8 @@ def summarise(
         for number, rows in table.groupby("obj_id")
     }
     ap = (None, None) if detection is None else (_known(detection.mssd), _known(detection.mspd))
-    figures = {
-        "bop19_average_recall_vsd": recalls[0],
-        "bop19_average_recall_mssd": recalls[1],
-        "bop19_average_recall_mspd": recalls[2],
-        "bop19_average_recall": _mean(*recalls),
-        "bop24_mAP_mssd": ap[0],
-        "bop24_mAP_mspd": ap[1],
-        "bop24_mAP": _mean(*ap),
-    }
-    scores = {name: value for name, value in figures.items() if value is not None}
+    figures = dict(zip(_FIGURES, (*recalls, _mean(*recalls), *ap, _mean(*ap)), strict=True))
+    scores = {_FIGURES[name]: value for name, value in figures.items() if value is not None}
     seconds = -1.0 if seconds_per_image is None else seconds_per_image
     return BopResult(
         results=results,
@@ -166,13 +163,7 @@ def summarise(
         split=split,
         targets=int(table["n_valid"].sum()),
         estimates=estimates,
-        ar=figures["bop19_average_recall"],
-        ar_vsd=recalls[0],
-        ar_mssd=recalls[1],
-        ar_mspd=recalls[2],
-        ap=figures["bop24_mAP"],
-        ap_mssd=ap[0],
-        ap_mspd=ap[1],
+        **figures,
         seconds_per_image=seconds_per_image,
         scores=scores | {f"bop{year}_average_time_per_image": seconds for year in (19, 24)},
         objects=list(objects.values()),

@@ -1,7 +1,5 @@
 """The depth restoration task: one method on one split by one protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -174,6 +172,9 @@ class Run(FrameRun[Restorer]):
         return depth_results.read_run(self.folder)
 
 
+_OF_CONFIG = ("save_depth", "depth_from", "speed", "released_loader")
+
+
 def plan_runs(config: DepthConfig) -> list[Run]:
     """Return the runs, grouped by method so that each network is loaded once.
 
@@ -185,11 +186,8 @@ def plan_runs(config: DepthConfig) -> list[Run]:
     return [
         Run(
             **frame_options(config, split, method, options),
+            **{name: getattr(config, name) for name in _OF_CONFIG},
             protocol=protocol,
-            save_depth=config.save_depth,
-            depth_from=config.depth_from,
-            speed=config.speed,
-            released_loader=config.released_loader,
         )
         for method, split, protocol in product(config.methods, config.splits, config.protocols)
     ]

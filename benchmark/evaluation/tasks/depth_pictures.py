@@ -1,8 +1,6 @@
 """Pictures of a few frames of a run: best, median and worst frame of the method, and three frames
 that are the same for all methods."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 import pandas as pd

@@ -1,7 +1,5 @@
 """Results of depth runs: reading, averaging over frames, and the table for the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Speed, size and memory of a method, measured after warm-up on a frame of its split."""
 
-from __future__ import annotations
-
 import multiprocessing
 import resource
 import statistics

@@ -10,9 +10,9 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from benchmark.evaluation.config import GraspConfig, checked_label, options_by_method, plain_label
+from benchmark.evaluation.config import GraspConfig, options_by_method
 from benchmark.evaluation.depth_choice import DepthChoice, depth_choice
-from benchmark.evaluation.engine import Task, TaskRun, weights_digest
+from benchmark.evaluation.engine import Task, TaskRun
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
 from benchmark.evaluation.tasks import grasp_results
@@ -20,14 +20,15 @@ from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_ta
 from benchmark.evaluation.tasks.grasp_inputs import FLAT_PATCHES, ORACLE, SUCTION, Methods
 from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
-from benchmark.methods.registry import MethodOptions, grasp_planners
+from benchmark.evaluation.values import checked_label, plain_label
+from benchmark.methods.registry import MethodOptions, grasp_planners, weights_digest
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
 from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop import depth_model, round, sense
 from benchmark.tabletop.arrange import arrange, round_seed
 from benchmark.tabletop.saved_views import named_view, save_view
 from benchmark.tabletop.scene_tables import open_scene_tables
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.io.documents import digest_file
 from std_toolkit.io.images import write_color
 from std_toolkit.log import logger
@@ -39,6 +40,11 @@ if TYPE_CHECKING:
 GRASP_FOLDER, STRIPS = "grasp", "strips"
 
 _ROUNDS = 6
+
+_OF_CONFIG = (
+    "label", "seed", "out", "camera", "attempts", "move", "meshes", "meshes_unit", "scenes",
+    "devices", "save_views",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +152,8 @@ class GraspRun(TaskRun[None, Methods]):
             torch.set_num_threads(1)
 
     def manifest(self, data: None, methods: Methods) -> GraspManifest:  # noqa: ARG002
-        planner, depth, folder = self.planner_options, self.depth.options, self.depth.folder
+        planner, depth = self.planner_options, self.depth.options
+        is_quick = self.camera == "quick"
         # Precision, compile and device are the same for both.
         network = depth if self.depth.is_restored else planner
         setup = GraspSetup(
@@ -154,19 +161,13 @@ class GraspRun(TaskRun[None, Methods]):
             seed=self.seed,
             attempts=self.attempts,
             camera=self.camera,
-            depth_model_sha256=digest_file(depth_model.MODEL_FILE)
-            if self.camera == "quick"
-            else "",
+            depth_model_sha256=digest_file(depth_model.MODEL_FILE) if is_quick else "",
             gripper=self.gripper.name,
             planner=self.planner,
             planner_preset=planner.preset,
             planner_settings=dict(planner.settings),
             planner_weights_sha256=weights_digest(self.planner, methods.planner, planner),
-            depth=self.depth.name,
-            depth_preset=depth.preset if self.depth.is_restored else "",
-            depth_settings=dict(depth.settings),
-            depth_weights_sha256=weights_digest(self.depth.name, methods.depths.restorer, depth),
-            depth_folder="" if folder is None else str(folder.resolve()),
+            **methods.depths.setup(),
             precision=network.precision,
             compile=network.compile,
             device=self.devices[0].partition(":")[0],
@@ -247,15 +248,7 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             or a label that cannot be the name of a folder.
     """
     if config.dump is not None:
-        return plan_dump(
-            dump=config.dump,
-            data=config.data,
-            split=config.graspnet_split,
-            camera=config.graspnet_camera,
-            contacts=config.contacts,
-            label=config.label,
-            out=config.out,
-        )
+        return plan_dump(config.dump, config)
     if config.data is not None:
         raise ToolkitError("belongs to --dump", field="--data", value=str(config.data))
     suction = config.gripper == SUCTION
@@ -269,13 +262,9 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
         )
     gripper = SuctionCup(radius=config.cup_radius or SuctionCup.radius) if suction else PANDA
     for name in planners:
-        if name != ORACLE and ":" not in name and name not in grasp_planners.names():
-            raise ToolkitError(
-                "no such planner",
-                field="--planner",
-                value=name,
-                hint=f"known: {', '.join([*grasp_planners.names(), ORACLE])}",
-            )
+        if ":" not in name:
+            known = [*grasp_planners.names(), ORACLE]
+            check_known(name, known, "no such planner", field="--planner", told="known:")
     depths = [depth_choice(text) for text in config.depths]
     names = [
         *(d.name for d in depths if d.is_restored),
@@ -288,23 +277,13 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
     depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
     return [
         GraspRun(
+            **{name: getattr(config, name) for name in _OF_CONFIG},
             depth=depth,
             planner=planner,
-            label=config.label,
             rounds=rounds,
-            seed=config.seed,
-            out=config.out,
             planner_options=options.get(planner, MethodOptions()),
-            camera=config.camera,
-            attempts=config.attempts,
-            move=config.move,
             gripper=gripper,
-            meshes=config.meshes,
-            meshes_unit=config.meshes_unit,
-            scenes=config.scenes,
-            devices=config.devices,
             strips=config.gallery,
-            save_views=config.save_views,
         )
         for planner, depth in product(planners, depths)
     ]

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from benchmark.data.splits import FrameKey
-from benchmark.evaluation.config import checked_label
+from benchmark.evaluation.config import GraspConfig
 from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.frames import error_line
 from benchmark.evaluation.manifest import DUMP_MANIFEST, DumpManifest, DumpSetup, circumstances
@@ -31,6 +31,7 @@ from benchmark.evaluation.results import (
     read_table,
     write_part,
 )
+from benchmark.evaluation.values import checked_label
 from benchmark.metrics.grasp.ap import (
     TOP,
     ContactKind,
@@ -259,27 +260,23 @@ def read_dump_run(folder: Path) -> DumpResult:
     return DumpResult(folder, manifest, table)
 
 
-def plan_dump(
-    *,
-    dump: Path,
-    data: Path | None,
-    split: SplitName,
-    camera: str,
-    contacts: ContactKind,
-    label: str | None,
-    out: Path,
-) -> list[DumpRun]:
+def plan_dump(dump: Path, config: GraspConfig) -> list[DumpRun]:
     """Return the run that scores a dump.
 
     Raises:
         ToolkitError: no data, or a label that cannot be the name of a folder.
     """
-    if data is None:
+    if config.data is None:
         raise ToolkitError("needs the folder of GraspNet-1Billion", field="--data")
-    name = checked_label(label or dump.resolve().name)
     return [
         DumpRun(
-            dump=dump, data=data, split=split, camera=camera, contacts=contacts, label=name, out=out
+            dump=dump,
+            data=config.data,
+            split=config.graspnet_split,
+            camera=config.graspnet_camera,
+            contacts=config.contacts,
+            label=checked_label(config.label or dump.resolve().name),
+            out=config.out,
         )
     ]
 

@@ -1,7 +1,5 @@
 """Depth and planner of a process that clears tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from benchmark.data.frame import DepthFrame

@@ -4,8 +4,6 @@ Rendered by ray casting, so that no GPU or display is needed: shaded surfaces, s
 metal in grey, the gripper in orange.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

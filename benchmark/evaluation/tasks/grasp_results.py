@@ -14,8 +14,6 @@ An object is removed if it is held after lifting, or is beyond the edge of the t
 computed by resampling whole rounds with replacement.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass

@@ -8,8 +8,6 @@ GraspNet's average precision, which is not defined for suction. The first view i
 planners; later views differ, because only one grasp per view is executed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

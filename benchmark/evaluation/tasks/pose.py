@@ -1,7 +1,5 @@
 """The category-level pose task: one method on one split with one depth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -14,9 +12,9 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame, resize_nearest
 from benchmark.data.splits import DepthSource
 from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
-from benchmark.evaluation.config import PoseConfig, checked_label, options_by_method
+from benchmark.evaluation.config import PoseConfig, options_by_method
 from benchmark.evaluation.depth_choice import RAW, DepthChoice, DepthProvider, depth_choice
-from benchmark.evaluation.engine import Task, weights_digest
+from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
     Base,
     FrameRun,
@@ -26,6 +24,7 @@ from benchmark.evaluation.frames import (
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup, circumstances
 from benchmark.evaluation.results import ERROR, INDEX
 from benchmark.evaluation.tasks import pose_results, pose_table
+from benchmark.evaluation.values import checked_label
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.protocol import Estimated, PoseAnswer, PoseEstimator, PoseView
 from benchmark.methods.registry import make_pose_method
@@ -155,14 +154,9 @@ class PoseRun(FrameRun[Methods]):
 
     def manifest(self, data: DepthSource, methods: Methods) -> PoseManifest:
         method, depths = methods
-        depth, folder = self.depth.options, self.depth.folder
         setup = PoseSetup(
             **self.setup(data, method) | {"settings": self.settings},
-            depth=self.depth.name,
-            depth_preset=depth.preset if self.depth.is_restored else "",
-            depth_settings=dict(depth.settings),
-            depth_weights_sha256=weights_digest(self.depth.name, depths.restorer, depth),
-            depth_folder="" if folder is None else str(folder.resolve()),
+            **depths.setup(),
             as_input=self.as_input,
             given_truth=bool(method.needs_truth),
         )
@@ -173,7 +167,7 @@ class PoseRun(FrameRun[Methods]):
             setup=setup,
             root=str(self.root),
             weights=str(self.options.weights or ""),
-            depth_weights=str(depth.weights or ""),
+            depth_weights=str(self.depth.options.weights or ""),
             **circumstances(),
         )
 

@@ -3,8 +3,6 @@
 All runs on the same frames show the same pictures, so that depths can be compared side by side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path

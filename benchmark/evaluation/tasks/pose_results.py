@@ -1,7 +1,5 @@
 """Results of pose runs: reading, scores by protocol and material with intervals, tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +24,7 @@ from benchmark.metrics.pose import (
     score_matches,
 )
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import check_known
 from std_toolkit.html.table import text_table
 from std_toolkit.io.documents import read_document
 
@@ -128,14 +126,7 @@ def read_pose_run(folder: Path) -> PoseResult:
         ToolkitError: a file is missing or damaged.
     """
     manifest = read_document(folder / POSE_MANIFEST, PoseManifest)
-    if manifest.fit not in FITS:
-        raise ToolkitError(
-            "not a fit of poses",
-            path=folder / POSE_MANIFEST,
-            field="fit",
-            value=manifest.fit,
-            hint=f"one of {', '.join(FITS)}",
-        )
+    check_known(manifest.fit, FITS, "not a fit of poses", path=folder / POSE_MANIFEST, field="fit")
     table = read_table(folder / POSES)
     check_columns(table, COLUMNS, folder / POSES)
     return PoseResult(folder, manifest, table)

@@ -4,8 +4,6 @@ Every frame has a row of kind `frame`, and one for each true object (`true`) and
 (`found`). Poses are the upper three rows of their matrix, including the scale, in metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

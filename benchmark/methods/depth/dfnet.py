@@ -5,9 +5,8 @@ here give the published number of parameters, 1.251 million. `released` is the n
 authors' program (TransCG), with its keys: their weights fit and give their answers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import torch
@@ -18,15 +17,13 @@ from benchmark.methods.network import (
     COMPACT_SIZE,
     NetworkRestorer,
     Prediction,
-    coarse_depth,
-    in_metres,
-    network_depth,
     network_of,
     padded_to,
     precisely,
-    relative_color,
 )
 from benchmark.methods.registry import MethodOptions
+from benchmark.methods.relative_depth import coarse_depth, in_metres, network_depth, relative_color
+from benchmark.methods.resnet import convolution
 from std_toolkit.errors import ToolkitError
 
 _LEVELS = 4
@@ -46,7 +43,7 @@ class DFNetConfig:
         outlier: what lies farther than so many standard deviations from the mean of the image's
             depths counts as not measured.
         relative: whether input and output depth are relative to what the sensor
-            measured (`benchmark.methods.network`). The published network works in metres.
+            measured (`benchmark.methods.relative_depth`). The published network works in metres.
         input_size: (width, height) of the images.
     """
 
@@ -67,6 +64,9 @@ PRESETS = {
 }
 
 
+_plain = partial(convolution, bias=True)
+
+
 class DFNetwork(nn.Module):
     """`network(color, depth)` to `Prediction`: depth alone."""
 
@@ -74,20 +74,20 @@ class DFNetwork(nn.Module):
         super().__init__()
         self.config = config = config or DFNetConfig()
         c = config.channels
-        self.stem = _unit(4, c, 3)
+        self.stem = convolution(4, c, 3)
         self.skips = nn.ModuleList(Block(c, config) for _ in range(_LEVELS))
         self.encoders = nn.ModuleList(Block(c, config) for _ in range(_LEVELS))
-        self.downs = nn.ModuleList(_unit(c, c, 3, stride=2) for _ in range(_LEVELS))
+        self.downs = nn.ModuleList(convolution(c, c, 3, stride=2) for _ in range(_LEVELS))
         self.middle = Block(c, config)
         self.ups = nn.ModuleList(
-            nn.Sequential(_unit(c, 4 * c, 1), nn.PixelShuffle(2)) for _ in range(_LEVELS)
+            nn.Sequential(convolution(c, 4 * c, 1), nn.PixelShuffle(2)) for _ in range(_LEVELS)
         )
         self.decoders = nn.ModuleList(Block(2 * c, config) for _ in range(_LEVELS))
         head = nn.Conv2d(c, 1, 1)
         if config.relative:  # the answer begins at the sensor's depth
             nn.init.normal_(head.weight, std=0.01)
             head.bias = nn.Parameter(torch.zeros(1))
-        self.last = nn.Sequential(_unit(c, c, 1), head)
+        self.last = nn.Sequential(convolution(c, c, 1), head)
 
     def forward(self, color: Tensor, depth: Tensor) -> Prediction:
         """Restore depth.
@@ -130,13 +130,13 @@ class Block(nn.Module):
 
     def __init__(self, inputs: int, config: DFNetConfig) -> None:
         super().__init__()
-        self.before = _unit(inputs, config.growth, 1)
+        self.before = convolution(inputs, config.growth, 1)
         width = config.growth + 1
         self.layers = nn.ModuleList(
             DenseLayer(width + index * config.growth, config.growth)
             for index in range(config.layers)
         )
-        self.after = _unit(width + config.layers * config.growth, config.channels, 3)
+        self.after = convolution(width + config.layers * config.growth, config.channels, 3)
 
     def forward(self, features: Tensor, depth: Tensor) -> Tensor:
         features = torch.cat([self.before(features), depth], dim=1)
@@ -258,14 +258,6 @@ class _SubPixel(nn.Module):
         return self.shuffle(self.layer(features))
 
 
-def _plain(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(),
-    )
-
-
 def dfnet_of(config: DFNetConfig) -> DFNetwork | ReleasedDFNetwork:
     """The network of a configuration.
 
@@ -284,14 +276,6 @@ def believable(depth: Tensor, config: DFNetConfig) -> Tensor:
     apart = torch.where(there, depth - mean, 0.0)
     spread = (apart.square().sum(dim=(1, 2, 3), keepdim=True) / count).sqrt()
     return torch.where(apart.abs() <= config.outlier * spread, depth, 0.0)
-
-
-def _unit(inputs: int, outputs: int, kernel: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(),
-    )
 
 
 class DFNet(NetworkRestorer):

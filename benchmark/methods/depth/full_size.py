@@ -3,8 +3,6 @@
 Resized frames contain no ground truth.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

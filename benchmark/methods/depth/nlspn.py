@@ -5,8 +5,6 @@ Keys and shapes match the published weights, and so do the answers of the publis
 can start from ImageNet weights of ResNet-34.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,15 +17,12 @@ from benchmark.methods.network import (
     COMPACT_SIZE,
     NetworkRestorer,
     Prediction,
-    coarse_depth,
-    in_metres,
-    network_depth,
     network_of,
     padded_to,
     precisely,
-    relative_color,
 )
 from benchmark.methods.registry import MethodOptions
+from benchmark.methods.relative_depth import coarse_depth, in_metres, network_depth, relative_color
 from benchmark.methods.resnet import residual_layer
 from benchmark.methods.weights import check_keys, read_weights
 
@@ -56,7 +51,7 @@ class NLSPNConfig:
         preserve_input: keep the sensor's depth where there is some, at every step. It is for depth
             that is sparse and right; the depth of transparent objects is there and wrong.
         relative: whether input and output depth are relative to what the sensor
-            measured (`benchmark.methods.network`). The published network works in metres.
+            measured (`benchmark.methods.relative_depth`). The published network works in metres.
         confidence: where the confidence of a neighbour is sampled, see `Propagation`. Weights of
             the authors' program need `released`, or `legacy` if they are those of the paper
             (trained before the program was changed).

@@ -4,8 +4,6 @@
 `benchmark.methods.network.NetworkRestorer`, for one image of a fixed size.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

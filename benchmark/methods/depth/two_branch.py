@@ -6,8 +6,6 @@ are those of SwinDRNet, so that the branch on depth is what differs. PointNet++ 
 own paper (Qi et al., NeurIPS 2017).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from benchmark.methods import network
+from benchmark.methods import network, relative_depth
 from benchmark.methods.depth.swindrnet.fusion_decoder import enlarged
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinStreams, blended
 from benchmark.methods.pointnet.grouping import at
@@ -118,14 +116,14 @@ class TwoBranchNetwork(SwinStreams):
             rays: (b, 3, h, w) directions of the pixels with z = 1, camera frame.
         """
         config = self.config
-        seen = network.relative_color(color) if config.relative else color
+        seen = relative_depth.relative_color(color) if config.relative else color
         of_color = self.features_of([seen]).levels
         of_points = self.pointnet(depth, rays, [level.shape[-2:] for level in of_color])
         levels = [torch.cat(pair, dim=1) for pair in zip(of_color, of_points, strict=True)]
         initial = enlarged(self.decode_head_depth_restoration(levels), depth)
         confidence = enlarged(self.decode_head_confidence(levels), depth)
         if config.relative:
-            initial = network.in_metres(network.coarse_depth(depth), initial)
+            initial = relative_depth.in_metres(relative_depth.coarse_depth(depth), initial)
             nothing = torch.cat([depth == 0, torch.zeros_like(depth, dtype=torch.bool)], dim=1)
             confidence = confidence.masked_fill(nothing, -torch.inf)
         return blended(depth, initial, confidence)
@@ -188,7 +186,7 @@ def sampled(depth: Tensor, rays: Tensor, config: TwoBranchConfig) -> tuple[Tenso
     number = torch.where(measured, order, count)
     first = number.topk(min(config.points, count), dim=1, largest=False, sorted=True)
     index = torch.where(first.values < count, first.indices, first.indices[:, :1])
-    unit = network.mean_depth(depth)
+    unit = relative_depth.mean_depth(depth)
     values = torch.where(depth > 0, depth, unit)
     if config.relative:
         values = values / unit

@@ -1,7 +1,5 @@
 """A planner for a suction cup: places of the seen surface on which the cup would seal."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

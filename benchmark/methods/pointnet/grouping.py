@@ -1,7 +1,5 @@
 """Farthest-point sampling, neighbourhoods of points, Chamfer distance."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """PointNet++ layers: shared MLP, set abstraction, feature propagation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

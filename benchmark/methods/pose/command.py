@@ -4,8 +4,6 @@ For methods that run in an environment of their own, such as a container. The pr
 in BOP's layout and writes `results.csv` into it; docs/pose.md describes both.
 """
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

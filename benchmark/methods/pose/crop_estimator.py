@@ -4,8 +4,6 @@ Objects come from true masks or from another method. A network says the normalis
 object's points and how large its box is; pose and size are fitted to them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from benchmark.methods.network import narrow_type, parameter_count, torch_device
+from benchmark.methods.network import HeldNetwork
 from benchmark.methods.pose.fitting import FitMethod, FitOptions, fit_pose
 from benchmark.methods.pose.segmented import (
     Crop,
@@ -121,11 +119,12 @@ class CropNetwork(nn.Module):
             raise ToolkitError("must be 1 or more", field="points", value=config.points)
 
 
-class CropEstimator:
+class CropEstimator(HeldNetwork):
     """A pose estimator around a network over object crops.
 
     Points come from the depth that poses are fitted to. Boxes are as large as the shape that
-    the network answers with.
+    the network answers with. Its parameters are counted without those of the network that
+    segments.
 
     Args:
         network: with its weights; it is put on the device and into evaluation mode.
@@ -148,19 +147,11 @@ class CropEstimator:
         }
         self.input_size: tuple[int, int] | None = config.input_size
         self.needs_truth = config.masks == TRUE
-        self.device = torch_device(options.device)
-        self._narrow = narrow_type(options.precision)
+        super().__init__(network, options)
         self.fit = FitOptions(
             fit=FitMethod(config.fit), threshold_m=config.threshold_m, last=config.last
         )
-        self.network = network.to(self.device).eval().requires_grad_(False)
-        self._run: Any = torch.compile(self.network) if options.compile else self.network
         self._segmenter = None if self.needs_truth else _segmenter(network, options)
-
-    @property
-    def parameter_count(self) -> int:
-        """Parameters of the network, without those of the one that segments."""
-        return parameter_count(self.network)
 
     def estimate(self, views: Sequence[PoseView]) -> list[Estimated]:
         """See `PoseEstimator`.
@@ -169,14 +160,8 @@ class CropEstimator:
             ToolkitError: true masks are asked for and not given, or the device's memory does not
                 hold the batch.
         """
-        try:
-            with torch.inference_mode():
-                return self._estimate(views)
-        except torch.OutOfMemoryError as error:
-            raise ToolkitError(
-                f"the memory of {self.device} does not hold {len(views)} frames at once",
-                hint="make --batch-size smaller",
-            ) from error
+        with self._running(len(views)):
+            return self._estimate(views)
 
     def _estimate(self, views: Sequence[PoseView]) -> list[Estimated]:
         found = [self._known_classes(segmented) for segmented in self._segmented(views)]
@@ -191,10 +176,7 @@ class CropEstimator:
         for begin in range(0, len(crops), _AT_ONCE):
             some = stacked(crops[begin : begin + _AT_ONCE])
             category = torch.tensor(categories[begin : begin + _AT_ONCE], device=self.device)
-            with torch.autocast(
-                self.device.type, dtype=self._narrow, enabled=self._narrow is not None
-            ):
-                answer = self._run(some.color, some.points, some.pixels, category)
+            answer = self._answer(some.color, some.points, some.pixels, category)
             for k, (coordinates, shape, points) in enumerate(
                 zip(
                     answer.coordinates.double().cpu().numpy(),

@@ -7,8 +7,6 @@ mask upright. Coordinates are chosen among bins
 about y have no front: +x of theirs is the side that faces the camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -24,7 +22,7 @@ from benchmark.methods.pose.crop_estimator import CropConfig, CropEstimator, Cro
 from benchmark.methods.pose.segmented import Segmented, stacked
 from benchmark.methods.protocol import PoseView
 from benchmark.methods.registry import MethodOptions
-from benchmark.methods.resnet import residual_layer
+from benchmark.methods.resnet import convolution, residual_layer
 from benchmark.metrics.pose.pose_protocol import DREDS_CLASSES
 from std_toolkit.errors import ToolkitError
 
@@ -108,16 +106,8 @@ class CropNOCSNetwork(CropNetwork):
         super().__init__(config)
         first, widths = config.widths[0], config.widths
         kinds = len(config.categories)
-        self.color = nn.Sequential(
-            nn.Conv2d(4, first, 3, padding=1, stride=2, bias=False),
-            nn.BatchNorm2d(first),
-            nn.ReLU(),
-        )
-        self.joined = nn.Sequential(
-            nn.Conv2d(first + 4 + kinds, first, 3, padding=1, bias=False),
-            nn.BatchNorm2d(first),
-            nn.ReLU(),
-        )
+        self.color = convolution(4, first, stride=2)
+        self.joined = convolution(first + 4 + kinds, first)
         self.down = nn.ModuleList()
         inputs = first
         for level, width in enumerate(widths):
@@ -127,13 +117,7 @@ class CropNOCSNetwork(CropNetwork):
         self.box = nn.Linear(inputs, AXES)
         self.up = nn.ModuleList()
         for width in reversed(widths[:-1]):
-            self.up.append(
-                nn.Sequential(
-                    nn.Conv2d(inputs + width, width, 3, padding=1, bias=False),
-                    nn.BatchNorm2d(width),
-                    nn.ReLU(),
-                )
-            )
+            self.up.append(convolution(inputs + width, width))
             inputs = width
         self.bins = nn.Conv2d(inputs, AXES * config.bins, 1)
 

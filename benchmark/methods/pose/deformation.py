@@ -1,7 +1,5 @@
 """Deformation of a shape prior: output, and heads by category."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

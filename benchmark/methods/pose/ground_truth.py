@@ -4,8 +4,6 @@ The remaining error is that of the depth. The result is an upper bound of what a
 achieve for poses; with true depth it is exact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

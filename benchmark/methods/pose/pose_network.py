@@ -1,7 +1,5 @@
 """Base of pose networks: tensors from views, poses from NOCS coordinates at pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -12,13 +10,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from benchmark.data.frame import resize_nearest
-from benchmark.methods.network import (
-    color_and_depth,
-    count_macs,
-    narrow_type,
-    parameter_count,
-    torch_device,
-)
+from benchmark.methods.network import HeldNetwork, color_and_depth, count_macs
 from benchmark.methods.pose.fitting import FitMethod, FitOptions, FittedPose, fit_pose
 from benchmark.methods.pose.segmented import Segmented
 from benchmark.methods.protocol import Estimated, PoseView, View
@@ -50,7 +42,7 @@ class NetworkSettings(Protocol):
     def fit_options(self) -> FitOptions: ...
 
 
-class NetworkEstimator:
+class NetworkEstimator(HeldNetwork):
     """A pose estimator, and a segmenter, around a network. A method says what `inputs` the network
     is called with and what was `found`.
 
@@ -68,11 +60,8 @@ class NetworkEstimator:
     def __init__(self, network: nn.Module, options: MethodOptions, config: NetworkSettings) -> None:
         self.input_size: tuple[int, int] | None = config.input_size
         self.size = config.input_size
-        self.device = torch_device(options.device)
-        self._narrow = narrow_type(options.precision)
+        super().__init__(network, options)
         self.fit = config.fit_options
-        self.network = network.to(self.device).eval().requires_grad_(False)
-        self._run: Any = torch.compile(self.network) if options.compile else self.network
 
     def estimate(self, views: Sequence[PoseView]) -> list[Estimated]:
         """See `PoseEstimator`.
@@ -111,11 +100,6 @@ class NetworkEstimator:
         """What the network's outputs say of each image."""
         raise NotImplementedError
 
-    @property
-    def parameter_count(self) -> int:
-        """Parameters of the network."""
-        return parameter_count(self.network)
-
     def macs(self, view: PoseView) -> int:
         """Multiplications with addition that one view costs; element-wise work is not counted."""
         with torch.inference_mode():
@@ -124,18 +108,8 @@ class NetworkEstimator:
     def _seen(self, views: Sequence[PoseView]) -> list[Found]:
         if not views:
             return []
-        try:
-            with torch.inference_mode():
-                inputs = self._inputs(views)
-                narrow = self._narrow
-                with torch.autocast(self.device.type, dtype=narrow, enabled=narrow is not None):
-                    outputs = self._run(*inputs)
-                return self.found(outputs)
-        except torch.OutOfMemoryError as error:
-            raise ToolkitError(
-                f"the memory of {self.device} does not hold {len(views)} frames at once",
-                hint="make --batch-size smaller",
-            ) from error
+        with self._running(len(views)):
+            return self.found(self._answer(*self._inputs(views)))
 
     def _inputs(self, views: Sequence[PoseView]) -> tuple[Tensor, ...]:
         plain = [View(view.color, view.sensor, view.camera) for view in views]

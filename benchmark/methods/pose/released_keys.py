@@ -4,8 +4,6 @@ Their files are the state dicts alone (`model_50.pth`). The priors are not in th
 network are kept.
 """
 
-from __future__ import annotations
-
 import re
 
 import torch

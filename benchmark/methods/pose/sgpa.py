@@ -10,7 +10,7 @@ Estimation", ICCV 2021.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -63,20 +63,10 @@ class SGPAConfig(spd.PriorNetworkConfig):
     heads: int = 4
 
 
-_PUBLISHED = SGPAConfig()
-
 PRESETS = {
-    "published": _PUBLISHED,
-    "compact": replace(
-        _PUBLISHED,
-        form="normalised",
-        side=96,
-        points=512,
-        color_width=32,
-        color_decoder=(64, 32, 32, 32),
-        width=256,
-        hidden=(256, 128),
-        centred=True,
+    "published": SGPAConfig(),
+    "compact": SGPAConfig(
+        **spd.COMPACT,
         # Of points that are a unit away from their middle on average.
         centres=(256, 128, 64, 32),
         radii=(0.1, 0.2, 0.2, 0.4, 0.4, 0.8, 0.8, 1.6),

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -81,22 +81,19 @@ class SPDConfig(PriorNetworkConfig):
     """The network; see `PriorNetworkConfig`."""
 
 
-_PUBLISHED = SPDConfig()
-
-PRESETS = {
-    "published": _PUBLISHED,
-    "compact": replace(
-        _PUBLISHED,
-        form="normalised",
-        side=96,
-        points=512,
-        color_width=32,
-        color_decoder=(64, 32, 32, 32),
-        width=256,
-        hidden=(256, 128),
-        centred=True,
-    ),
+# Of the compact networks that deform a prior.
+COMPACT: dict[str, Any] = {
+    "form": "normalised",
+    "side": 96,
+    "points": 512,
+    "color_width": 32,
+    "color_decoder": (64, 32, 32, 32),
+    "width": 256,
+    "hidden": (256, 128),
+    "centred": True,
 }
+
+PRESETS = {"published": SPDConfig(), "compact": SPDConfig(**COMPACT)}
 PRESETS["small"] = replace(
     PRESETS["compact"],
     color_width=20,
@@ -294,16 +291,14 @@ def load_imagenet(network: PriorNetwork, path: Path) -> None:
             path=path,
             hint="give --set form=normalised",
         )
-    wanted = {
-        key: tensor
-        for key, tensor in color.state_dict().items()
-        if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
-    }
-    state = {
-        key: tensor
-        for key, tensor in read_weights(path).items()
-        if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
-    }
+    wanted, state = (
+        {
+            key: tensor
+            for key, tensor in tensors.items()
+            if key.partition(".")[0] in _PARTS and not key.endswith(_COUNT)
+        }
+        for tensors in (color.state_dict(), read_weights(path))
+    )
     check_keys(wanted, state, path)
     color.load_state_dict(state, strict=False)
 

@@ -1,7 +1,5 @@
 """A BOP data set: true poses, cameras, depth and models."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

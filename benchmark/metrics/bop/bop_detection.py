@@ -12,8 +12,6 @@ image are to be found, and nobody says how many there are.
 - Estimates of objects without any true pose in the image do not count.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ vertices determine the best angle, and the vertex that is farthest there joins t
 of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

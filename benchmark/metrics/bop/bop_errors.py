@@ -4,8 +4,6 @@ Source: T. Hodan et al., "BOP Challenge 2020", equations 1, 2 and 4, with the 20
 visibility: where the sensor has no measurement, the object counts as visible.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Result files of the BOP Challenge: one estimated pose a line, millimetres."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Models of a BOP data set: vertices, diameter and symmetry; the mesh only for rendering."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

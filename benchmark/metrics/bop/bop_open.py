@@ -1,7 +1,5 @@
 """Opening a BOP data set: its scenes, the sensor, and what is to be found."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence

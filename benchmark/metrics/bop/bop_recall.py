@@ -1,7 +1,5 @@
 """Average recall of instance-level poses, as the BOP Challenge ranks methods."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

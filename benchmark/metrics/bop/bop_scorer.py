@@ -1,7 +1,5 @@
 """Errors of a result file on a data set, image by image."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Distances between many points at two poses, in space and in the image, compiled."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

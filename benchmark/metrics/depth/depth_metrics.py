@@ -5,8 +5,6 @@ without ground truth (not finite or not positive) never are. Without any pixel t
 Ratios are taken in the precision of the depths (float32, or float64), sums in float64.
 """
 
-from __future__ import annotations
-
 from math import prod
 from typing import Any
 

@@ -4,8 +4,6 @@ Each is defined once, for arrays of numpy and tensors of torch: the functions us
 names in both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Force closure: contacts on a mesh, the friction that they need, and surface points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

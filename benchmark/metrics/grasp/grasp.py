@@ -314,7 +314,7 @@ def read_grasps(path: Path | str) -> Grasps:
     try:
         return Grasps.from_array(array)
     except ToolkitError as error:
-        raise ToolkitError(error.problem, path=path, field=error.field, value=error.value) from None
+        raise error.revised(path=path) from None
 
 
 @dataclass(frozen=True, order=True)

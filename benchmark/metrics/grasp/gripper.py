@@ -1,14 +1,12 @@
 """Geometry of parallel-jaw grippers, as boxes in the frame of a grasp."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, check_known
 
 Floats = NDArray[np.float64]
 
@@ -156,8 +154,5 @@ def get_gripper(name: str) -> Gripper:
     >>> get_gripper("panda").max_width
     0.08
     """
-    if name not in GRIPPERS:
-        raise ToolkitError(
-            "no such gripper", field="gripper", value=name, hint=f"known: {', '.join(GRIPPERS)}"
-        )
+    check_known(name, GRIPPERS, "no such gripper", field="gripper", told="known:")
     return GRIPPERS[name]

@@ -3,8 +3,6 @@
 The points are sorted into the cells of a grid, so that a box looks at those around it alone.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -8,8 +8,6 @@ meet its border. Use these contacts to compare with
 published figures; those of `force_closure.GraspedMesh` are exact.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -6,8 +6,6 @@ than a tenth. The limits of force and torque are those of the same paper, with t
 stiffness of SuctionNet-1Billion (Cao et al., RA-L 2021).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ face counts where two faces coincide, and are wrong by whole boxes when rounding
 in different ways; here the answer depends continuously on both boxes.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Pose errors (angles and distances), and matching of predictions with true objects."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

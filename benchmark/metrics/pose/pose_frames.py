@@ -8,8 +8,6 @@ vary; groups of equal size are combined, so that each step of matching is a few 
 any number of frames, without padding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Protocols of category-level pose evaluation, and the symmetries of classes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum

@@ -3,8 +3,6 @@
 `score_matches` gives the figures of one choice; a bootstrap needs thousands.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

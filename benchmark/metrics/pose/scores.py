@@ -1,7 +1,5 @@
 """Figures of category-level poses, from matches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Scores of one frame, also at edges: steps of depth and outlines of objects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Report part of depth restoration: leaderboards, breakdowns, speed, pictures, runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

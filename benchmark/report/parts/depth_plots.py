@@ -1,7 +1,5 @@
 """The figures of the page, as Plotly JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tables of depth restoration: leaderboard, breakdowns, costs, runs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

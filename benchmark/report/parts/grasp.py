@@ -1,7 +1,5 @@
 """Report part of table clearing: rates, causes of failure, pictures, effect of depth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

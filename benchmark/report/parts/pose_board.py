@@ -6,8 +6,6 @@ differences per scene. But if the depth had no effect, the predictions of each s
 swapped between the two depths, and the figures of all swapped tables would be equally likely.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 from benchmark.evaluation.config import FITS
 from benchmark.evaluation.depth_choice import RAW, TRUE
 from benchmark.evaluation.tasks import pose_results
-from benchmark.metrics.pose import PoseProtocol, get_pose_protocol
+from benchmark.metrics.pose import get_pose_protocol
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
 from benchmark.published.load import published_poses
 from benchmark.report.leaderboard import MEASURED, PUBLISHED, merge_equal
@@ -230,14 +228,12 @@ def make_pose_board(
         for name in PROTOCOLS:
             protocol = get_pose_protocol(name)
             for subset in TABLES:
-                scored = _scored(mine, protocol, subset, samples)
+                scored = pose_results.score_runs(mine, protocol, (subset,), samples=samples)
                 rows += [_row(each, name) for each in scored]
                 if name == PROTOCOLS[0]:
                     compared[split, subset] = _against_raw(scored, samples)
         first = get_pose_protocol(PROTOCOLS[0])
-        details[split] = [
-            s for subset in (pose_results.ALL, *DETAILS) for s in _scored(mine, first, subset, 0)
-        ]
+        details[split] = pose_results.score_runs(mine, first, (pose_results.ALL, *DETAILS))
     if not rows:
         raise ToolkitError(
             "no frame has a true object, there is nothing to report", path=results[0].folder
@@ -252,15 +248,6 @@ def _place(result: pose_results.PoseResult) -> tuple[int, str]:
     """Sort key: raw depth before restored depth, true depth last."""
     depth = result.manifest.setup.depth
     return (0 if depth == RAW else 2 if depth == TRUE else 1, result.name[1])
-
-
-def _scored(
-    results: Sequence[pose_results.PoseResult], protocol: PoseProtocol, subset: str, samples: int
-) -> list[pose_results.Scored]:
-    scored = [
-        pose_results.score_run(result, protocol, subset, samples=samples) for result in results
-    ]
-    return [each for each in scored if each.objects]
 
 
 def _row(scored: pose_results.Scored, protocol: str) -> dict[str, object]:

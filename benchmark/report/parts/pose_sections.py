@@ -1,7 +1,5 @@
 """Tables and pictures of poses: leaderboard, breakdowns, boxes, runs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

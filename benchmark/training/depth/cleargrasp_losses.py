@@ -3,8 +3,6 @@
 Targets are computed from the true depth, the masks and the materials of a frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 

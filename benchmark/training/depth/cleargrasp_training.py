@@ -1,7 +1,5 @@
 """Training and validation of ClearGrasp's networks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Training of the depth restorers: network, loss and optimization of each."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

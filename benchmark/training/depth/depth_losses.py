@@ -3,8 +3,6 @@
 Slopes and normals of depth maps, with masks of the pixels where they are defined.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Training of LIDF (Zhu et al., CVPR 2021): losses of both stages, batches, phases."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Literal, cast

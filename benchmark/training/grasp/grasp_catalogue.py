@@ -1,7 +1,5 @@
 """Training and validation of GraspNet."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

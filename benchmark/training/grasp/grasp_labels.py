@@ -4,8 +4,6 @@ The labels of a scene are those of its objects whose gripper collides with nothi
 a tolerance: the distance by which the grasp may miss its point and still hold.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile

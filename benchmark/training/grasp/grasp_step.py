@@ -1,7 +1,5 @@
 """Training step and loss of GraspNet (Fang et al., CVPR 2020)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple

@@ -10,8 +10,6 @@
 <pack>/scene-00000.json             poses; written last, when the scene is complete
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

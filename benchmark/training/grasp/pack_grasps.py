@@ -1,7 +1,5 @@
 """Generates and packs scenes of labelled grasps."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields

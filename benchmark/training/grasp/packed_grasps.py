@@ -1,7 +1,5 @@
 """Packed scenes of grasps as batches of tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Objects on a table at known poses, as a depth camera sees them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Training of crop NOCS: augmented crops of all objects of a frame, and their loss."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Object crops of packed frames, and the loss of SPD and SGPA on them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

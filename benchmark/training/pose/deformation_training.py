@@ -1,8 +1,5 @@
 """Training of SPD and SGPA on object crops, and validation of all networks over crops."""
 
-from __future__ import annotations
-
-import math
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -60,6 +57,8 @@ class DeformationValidator(Validator):
     summed error, near points and number of objects.
     """
 
+    main = "coordinates"
+
     def zeros(self, network: nn.Module) -> np.ndarray:
         self.names: tuple[str, ...] = _config(network).categories
         return np.zeros((len(self.names), 3))
@@ -93,10 +92,6 @@ class DeformationValidator(Validator):
                 for name, e in zip(self.names, by_category, strict=True)
             },
         }
-
-    def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        value = scores["coordinates"]
-        return "coordinates", math.inf if math.isnan(value) else value
 
     def pictures(
         self,

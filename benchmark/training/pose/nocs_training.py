@@ -1,7 +1,5 @@
 """Training and validation of networks that predict NOCS coordinates."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
@@ -73,6 +71,8 @@ class PoseValidator(Validator):
         ToolkitError: the packs hold no NOCS.
     """
 
+    main = "nocs_error"
+
     def __init__(
         self, *args: Any, pixels_of: Callable[[nn.Module, Batch], PredictedPixels]
     ) -> None:
@@ -98,10 +98,6 @@ class PoseValidator(Validator):
             "class_recall": right / objects if objects else math.nan,
             "class_overlap": right / counted if counted else math.nan,
         }
-
-    def main_score(self, scores: dict[str, float]) -> tuple[str, float]:
-        value = scores["nocs_error"]
-        return "nocs_error", math.inf if math.isnan(value) else value
 
     def pictures(
         self,

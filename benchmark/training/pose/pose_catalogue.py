@@ -1,7 +1,5 @@
 """Training of the pose networks: network, loss and optimization of each."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

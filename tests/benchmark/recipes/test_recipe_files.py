@@ -21,8 +21,7 @@ from benchmark.recipes.recipe import (
     recipe_names,
     scales,
 )
-from benchmark.recipes.recipe_poses import published_poses
-from benchmark.recipes.recipe_table import printed_rows
+from benchmark.recipes.recipe_table import printed_rows, published_poses
 from benchmark.recipes.targets import find_targets
 from sensors.simulation.options import SimulationOptions
 from std_toolkit.errors import ToolkitError

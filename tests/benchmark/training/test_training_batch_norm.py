@@ -9,7 +9,7 @@ import torch
 from torch import nn
 from training_set import packed, trained, wishes, write_scenes
 
-from benchmark.training.batch_norm import recompute_batch_norm
+from benchmark.training.step import recompute_batch_norm
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """ClearGrasp as a restorer: three networks, then the global optimization."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

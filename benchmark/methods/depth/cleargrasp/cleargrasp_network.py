@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, normalize
 
-from benchmark.methods.resnet import WIDENED, BasicBlock, Bottleneck
+from benchmark.methods.resnet import WIDENED, BasicBlock, Bottleneck, convolution
 
 _CLASSES = (0.5, 0.1)  # dropout of the two that classify
 
@@ -93,19 +93,8 @@ def _convolutions(
 ) -> nn.Sequential:
     parts: list[nn.Module] = []
     for index in range(count):
-        parts += [
-            nn.Conv2d(
-                outputs if index else inputs,
-                outputs,
-                kernel,
-                1 if index else stride,
-                padding=dilation * (kernel // 2),
-                dilation=dilation,
-                bias=False,
-            ),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(),
-        ]
+        reach = (kernel, 1 if index else stride, dilation)
+        parts += convolution(outputs if index else inputs, outputs, *reach)
     return nn.Sequential(*parts)
 
 
@@ -159,10 +148,7 @@ class Pyramid(nn.Module):
         self.aspp3 = Reach(inputs, channels, 3, _DILATIONS[1])
         self.aspp4 = Reach(inputs, channels, 3, _DILATIONS[2])
         self.global_avg_pool = nn.Sequential(
-            nn.AdaptiveAvgPool2d(1),
-            nn.Conv2d(inputs, channels, 1, bias=False),
-            nn.BatchNorm2d(channels),
-            nn.ReLU(),
+            nn.AdaptiveAvgPool2d(1), *convolution(inputs, channels, 1)
         )
         self.conv1 = nn.Conv2d(5 * channels, channels, 1, bias=False)
         self.bn1 = nn.BatchNorm2d(channels)
@@ -204,13 +190,9 @@ class Decoder(nn.Module):
         self.bn1 = nn.BatchNorm2d(_FINE)
         first, second = dropout or (0.0, 0.0)
         parts: list[nn.Module] = [
-            nn.Conv2d(channels + _FINE, channels, 3, padding=1, bias=False),
-            nn.BatchNorm2d(channels),
-            nn.ReLU(),
+            *convolution(channels + _FINE, channels),
             nn.Dropout(first),
-            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
-            nn.BatchNorm2d(channels),
-            nn.ReLU(),
+            *convolution(channels, channels),
         ]
         if dropout is not None:  # keys count it
             parts.append(nn.Dropout(second))

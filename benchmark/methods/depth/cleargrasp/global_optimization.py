@@ -14,8 +14,6 @@ neighbours of p, and both (p, q) and (q, p) count. The difference of the two poi
 normalised (the factor f makes up for its length on average), so the problem is linear and sparse.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

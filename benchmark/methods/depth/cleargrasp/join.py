@@ -7,8 +7,6 @@ The benchmark records the hash of the one file. An input may also contain all th
 `std-train` writes them; only the network it is given for is read.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Solves sparse linear systems that couple neighbouring pixels, exactly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 

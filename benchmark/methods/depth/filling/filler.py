@@ -3,8 +3,6 @@
 Raw depth is the sensor's own and the baseline of every table.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Joint bilateral filling averages measured depth, weighted by distance and colour.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -4,8 +4,6 @@ Positions and directions are encoded as in Mildenhall et al., ECCV 2020. Also gr
 softmax, and the sampling of measured pixels over the image.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import torch

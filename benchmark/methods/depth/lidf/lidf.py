@@ -3,8 +3,6 @@
 Written from the paper; the authors' weights do not fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 

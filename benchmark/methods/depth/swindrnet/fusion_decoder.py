@@ -8,9 +8,7 @@ learns faster (Xiao et al., NeurIPS 2021), and uses their features to restore th
 (U-Net, Ronneberger et al., MICCAI 2015).
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -86,7 +84,8 @@ class ReleasedFusion(nn.Module):
 
     def __init__(self, channels: int, window: int) -> None:
         super().__init__()
-        self.cross_attn_layer = _CrossAttentionLayer(channels, window)
+        block = CrossBlock(channels, IdleAttention(channels, window))
+        self.cross_attn_layer = CrossAttentionLayer(channels, [block])
         self.norm_layer = nn.LayerNorm(channels)
 
     def forward(self, color: Tensor, depth: Tensor) -> Tensor:
@@ -95,10 +94,12 @@ class ReleasedFusion(nn.Module):
         return torch.cat([fused, color, depth], dim=-1)
 
 
-class _CrossAttentionLayer(nn.Module):
-    def __init__(self, channels: int, window: int) -> None:
+class CrossAttentionLayer(nn.Module):
+    """Blocks over two streams (b, h, w, C), and what fuses them."""
+
+    def __init__(self, channels: int, blocks: Iterable[nn.Module]) -> None:
         super().__init__()
-        self.blocks = nn.ModuleList([_CrossBlock(channels, window)])
+        self.blocks = nn.ModuleList(blocks)
         self.fuse = nn.Linear(2 * channels, channels)
 
     def forward(self, color: Tensor, depth: Tensor) -> Tensor:
@@ -107,26 +108,32 @@ class _CrossAttentionLayer(nn.Module):
         return self.fuse(torch.cat([color, depth], dim=-1))
 
 
-class _CrossBlock(nn.Module):
-    def __init__(self, channels: int, window: int) -> None:
+class CrossBlock(nn.Module):
+    """A block over two streams; its attention has parameters alone."""
+
+    def __init__(self, channels: int, attention: nn.Module) -> None:
         super().__init__()
         self.norm1_branch_1 = nn.LayerNorm(channels)
         self.norm1_branch_2 = nn.LayerNorm(channels)
-        self.attn = _IdleAttention(channels, window)
+        self.attn = attention
         self.norm2_branch_1 = nn.LayerNorm(channels)
         self.norm2_branch_2 = nn.LayerNorm(channels)
         self.mlp_branch_1 = swin.Perceptron(channels)
         self.mlp_branch_2 = swin.Perceptron(channels)
 
     def forward(self, color: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
-        color = color + self.norm1_branch_1(color)
+        color = color + self.change(color, depth)
         depth = depth + color
         color = color + self.mlp_branch_1(self.norm2_branch_1(color))
         depth = depth + self.mlp_branch_2(self.norm2_branch_2(depth))
         return color, depth
 
+    def change(self, color: Tensor, depth: Tensor) -> Tensor:  # noqa: ARG002
+        """What is added to the first stream."""
+        return self.norm1_branch_1(color)
 
-class _IdleAttention(nn.Module):
+
+class IdleAttention(nn.Module):
     """The parameters of the attention that the published program does not use."""
 
     def __init__(self, channels: int, window: int) -> None:

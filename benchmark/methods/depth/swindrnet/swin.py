@@ -3,8 +3,6 @@
 Keys and shapes match the published ImageNet weights.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad, scaled_dot_product_attention

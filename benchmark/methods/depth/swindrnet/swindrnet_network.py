@@ -3,8 +3,6 @@
 The streams, Swin transformers with fusion at each level, are shared with the pose network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
@@ -12,7 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
-from benchmark.methods import network
+from benchmark.methods import network, relative_depth
 from benchmark.methods.depth.swindrnet import fusion_decoder
 from benchmark.methods.depth.swindrnet.swin import PATCH, Swin
 
@@ -146,8 +144,8 @@ class SwinDRNetConfig:
         fusion_heads: attention heads of the `paper` fusion.
         fusion_window: side of the windows that the `paper` fusion attends within. None is the
             paper's formula: every token attends to the whole image.
-        relative: whether input and output depth are relative to what the sensor
-            measured (`benchmark.methods.network`), and trusts no pixel that the sensor did not
+        relative: whether input and output depth are relative to what the sensor measured
+            (`benchmark.methods.relative_depth`), and trusts no pixel that the sensor did not
             measure. The published network works in metres, and has to learn the latter.
         details: whether convolutions lead from the pixels to tokens of 8x8 pixels, and from the
             decoders' answers back to every pixel (`fusion_decoder`). As
@@ -264,7 +262,7 @@ class SwinDRNetwork(SwinStreams):
         config = self.config
         measured = (depth > 0).to(depth.dtype)
         if config.relative:
-            color, depth = network.relative_color(color), network.network_depth(depth)
+            color, depth = relative_depth.relative_color(color), relative_depth.network_depth(depth)
         if config.details:
             depth = torch.cat([depth, measured], dim=1)
         if config.fusion == "none":
@@ -282,7 +280,7 @@ class SwinDRNetwork(SwinStreams):
             initial = self.details_of_depth(initial, details)
         initial = fusion_decoder.enlarged(initial, depth)
         if config.relative:
-            initial = network.in_metres(network.coarse_depth(depth), initial)
+            initial = relative_depth.in_metres(relative_depth.coarse_depth(depth), initial)
         if confidence is None:
             return network.Prediction(initial, initial)
         if config.details:

@@ -1,7 +1,5 @@
 """The antipodal planner and its settings."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -20,7 +18,7 @@ from benchmark.methods.grasp.antipodal.surface import surface_of, table_of
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.grasp.grasp import Grasps, suppress_similar
-from benchmark.metrics.grasp.gripper import GRIPPERS
+from benchmark.metrics.grasp.gripper import get_gripper
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.plugins import configured
@@ -79,13 +77,7 @@ class AntipodalSettings:
     room: float = 0.012
 
     def __post_init__(self) -> None:
-        if self.gripper not in GRIPPERS:
-            raise ToolkitError(
-                "no such gripper",
-                field="gripper",
-                value=self.gripper,
-                hint=f"known: {', '.join(GRIPPERS)}",
-            )
+        get_gripper(self.gripper)
         check_limits(
             self,
             ("points", 10, 20_000),
@@ -124,7 +116,7 @@ class Antipodal:
     def __init__(self, options: MethodOptions | None = None) -> None:
         given = (options or MethodOptions()).settings
         self.settings = configured(AntipodalSettings(), given)
-        self.gripper = GRIPPERS[self.settings.gripper]
+        self.gripper = get_gripper(self.settings.gripper)
 
     def plan(self, view: GraspView) -> Grasps:
         rng = np.random.default_rng(self.settings.seed)

@@ -3,8 +3,6 @@
 Obstacles are the visible points and the space below them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 Estimates the table plane if it is not given.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """GraspNet's configuration, input cloud, approach views and rotations; without torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal

@@ -1,7 +1,5 @@
 """GraspNet as a planner: grasps from the output of the network."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

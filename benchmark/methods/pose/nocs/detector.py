@@ -5,8 +5,6 @@ centredness. Boxes are (x0, y0, x1, y1) in pixels with centres at integers; the 
 width w are -0.5 and w - 0.5. Also crops regions out of features and pastes masks into images.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

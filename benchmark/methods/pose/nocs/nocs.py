@@ -3,8 +3,6 @@
 Mask and coordinate heads are as published; the detector is not (see `detector`).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

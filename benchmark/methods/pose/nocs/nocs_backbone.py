@@ -3,8 +3,6 @@
 Keys and shapes of the ResNet match the ImageNet weights that torchvision publishes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

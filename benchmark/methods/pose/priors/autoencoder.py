@@ -5,8 +5,6 @@ One auto-encoder learns the shapes of all categories with the chamfer distance (
 number of epochs are chosen here where the paper does not state them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise

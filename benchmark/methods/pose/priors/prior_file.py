@@ -1,7 +1,5 @@
 """Prior files: safetensors with (p, 3) float32 points for each category."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.methods.registry import check_shipped
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 
@@ -95,7 +94,7 @@ def load_priors(path: Path | str) -> Priors:
     if not path.is_file():
         raise ToolkitError("no such file of priors", path=path)
     if shipped:
-        _check_digest(path)
+        check_shipped(path, "priors")
     try:
         with safe_open(path, framework="np") as file:
             about = json.loads((file.metadata() or {}).get(_ABOUT, "{}"))
@@ -107,18 +106,4 @@ def load_priors(path: Path | str) -> Priors:
     try:
         return Priors(points, about)
     except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=error.field, value=error.value
-        ) from error
-
-
-def _check_digest(path: Path) -> None:
-    import hashlib
-
-    expected = path.with_name(path.name + ".sha256").read_text(encoding="ascii").split()[0]
-    if hashlib.sha256(path.read_bytes()).hexdigest() != expected:
-        raise ToolkitError(
-            "not the priors that were shipped: their SHA-256 differs",
-            path=path,
-            hint="install the toolkit again",
-        )
+        raise error.revised(path=path) from error

@@ -3,8 +3,6 @@
 Fuses colour and point features as in the published network.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -14,10 +12,17 @@ from torch import Tensor, nn
 from torch.nn.functional import scaled_dot_product_attention
 
 from benchmark.methods.depth.swindrnet import swin
-from benchmark.methods.depth.swindrnet.fusion_decoder import DetailDecoder, PaperFusion, enlarged
+from benchmark.methods.depth.swindrnet.fusion_decoder import (
+    CrossAttentionLayer,
+    CrossBlock,
+    DetailDecoder,
+    PaperFusion,
+    enlarged,
+)
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinStreams
-from benchmark.methods.network import COMPACT_SIZE, network_depth, relative_color
+from benchmark.methods.network import COMPACT_SIZE
 from benchmark.methods.pose.fitting import FitSettings
+from benchmark.methods.relative_depth import network_depth, relative_color
 
 # Numbers of the segmentation: 0 other, 1 to 7 the classes of DREDS, 8 background.
 CLASSES = 9
@@ -210,7 +215,13 @@ class AttendingFusion(nn.Module):
 
     def __init__(self, channels: int, depth: int, heads: int, window: int) -> None:
         super().__init__()
-        self.cross_attn_layer = _CrossAttentionLayer(channels, depth, heads, window)
+        self.cross_attn_layer = CrossAttentionLayer(
+            channels,
+            (
+                _CrossBlock(channels, heads, window, window // 2 * (index % 2))
+                for index in range(depth)
+            ),
+        )
         self.norm_layer = nn.LayerNorm(channels)
 
     def forward(self, color: Tensor, points: Tensor) -> Tensor:
@@ -218,42 +229,15 @@ class AttendingFusion(nn.Module):
         return self.norm_layer(self.cross_attn_layer(color, points))
 
 
-class _CrossAttentionLayer(nn.Module):
-    def __init__(self, channels: int, depth: int, heads: int, window: int) -> None:
-        super().__init__()
-        self.blocks = nn.ModuleList(
-            _CrossBlock(channels, heads, window, window // 2 * (index % 2))
-            for index in range(depth)
-        )
-        self.fuse = nn.Linear(2 * channels, channels)
-
-    def forward(self, color: Tensor, points: Tensor) -> Tensor:
-        for block in self.blocks:
-            color, points = block(color, points)
-        return self.fuse(torch.cat([color, points], dim=-1))
-
-
-class _CrossBlock(nn.Module):
+class _CrossBlock(CrossBlock):
     def __init__(self, channels: int, heads: int, window: int, shift: int) -> None:
-        super().__init__()
+        super().__init__(channels, _CrossAttention(channels, heads, window))
         self.window, self.shift = window, shift
-        self.norm1_branch_1 = nn.LayerNorm(channels)
-        self.norm1_branch_2 = nn.LayerNorm(channels)
-        self.attn = _CrossAttention(channels, heads, window)
-        self.norm2_branch_1 = nn.LayerNorm(channels)
-        self.norm2_branch_2 = nn.LayerNorm(channels)
-        self.mlp_branch_1 = swin.Perceptron(channels)
-        self.mlp_branch_2 = swin.Perceptron(channels)
 
-    def forward(self, color: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-        change = self.norm1_branch_1(color)
-        if self.shift:
-            change = self._attend(change, self.norm1_branch_2(points))
-        color = color + change
-        points = points + color
-        color = color + self.mlp_branch_1(self.norm2_branch_1(color))
-        points = points + self.mlp_branch_2(self.norm2_branch_2(points))
-        return color, points
+    def change(self, color: Tensor, depth: Tensor) -> Tensor:
+        if not self.shift:
+            return super().change(color, depth)
+        return self._attend(self.norm1_branch_1(color), self.norm1_branch_2(depth))
 
     def _attend(self, color: Tensor, points: Tensor) -> Tensor:
         h, w = color.shape[1:3]

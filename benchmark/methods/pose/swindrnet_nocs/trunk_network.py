@@ -4,8 +4,6 @@ The features are those of the shipped depth restorer, which is not trained furth
 are not in the head's file. The file names them by their SHA-256.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path

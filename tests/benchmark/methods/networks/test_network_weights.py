@@ -9,9 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from benchmark.evaluation.engine import weights_digest
 from benchmark.methods import registry
-from benchmark.methods.registry import MethodOptions
+from benchmark.methods.registry import MethodOptions, weights_digest
 from benchmark.methods.weights import (
     architecture_of,
     load_weights,

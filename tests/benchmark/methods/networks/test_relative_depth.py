@@ -6,7 +6,7 @@ import pytest
 import torch
 from network_cases import CASES, frames
 
-from benchmark.methods.network import (
+from benchmark.methods.relative_depth import (
     coarse_depth,
     in_metres,
     mean_depth,

@@ -12,8 +12,8 @@ import pytest
 import torch
 from network_cases import CASES, frames
 
+from benchmark.methods.depth.swindrnet.fast import FastSwinDRNetwork
 from benchmark.methods.depth.swindrnet.swin import relative_index
-from benchmark.methods.depth.swindrnet.swindrnet import FastSwinDRNetwork
 from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS, SwinDRNetwork
 from benchmark.methods.network import Prediction, parameter_count
 from benchmark.methods.weights import architecture_of

@@ -15,10 +15,10 @@ from safetensors.torch import save_file
 from benchmark.methods.depth.swindrnet.fusion_decoder import UPerHead
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetConfig, SwinDRNetwork
 from benchmark.methods.network import parameter_count
-from benchmark.methods.pose.swindrnet_nocs.instances import segments_of
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import (
     begin_pose_network,
     load_pose_weights,
+    segments_of,
 )
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
     PRESETS,

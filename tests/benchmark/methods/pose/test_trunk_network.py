@@ -14,8 +14,11 @@ import torch
 from safetensors.torch import save_file
 
 from benchmark.methods.network import parameter_count
-from benchmark.methods.pose.swindrnet_nocs.instances import grouped, segments_of
-from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import load_pose_weights
+from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs import (
+    grouped,
+    load_pose_weights,
+    segments_of,
+)
 from benchmark.methods.pose.swindrnet_nocs.swindrnet_nocs_network import (
     PRESETS,
     SwinNOCSConfig,

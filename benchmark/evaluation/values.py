@@ -1,0 +1,135 @@
+"""Values of options by method and by split, and the labels of methods."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.plugins import setting_of
+
+# Before the label and an id of a method that is an object of this process.
+OBJECT = "object:"
+
+_LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
+
+_LONGEST_LABEL = 120  # file systems stop at 255 bytes
+
+
+def roots_of(texts: Sequence[str]) -> dict[str | None, Path]:
+    """Return data folders by split; the key None is for splits without an entry.
+
+    Args:
+        texts: `SPLIT=ROOT`, or `ROOT`.
+    """
+    found: dict[str | None, Path] = {}
+    for text in texts:
+        split, equals, root = text.partition("=")
+        # The name of a folder may contain "=".
+        named = bool(equals) and not Path(text).exists()
+        found[split if named else None] = Path(root if named else text)
+    return found
+
+
+def data_of(split: str, roots: Mapping[str | None, Path]) -> Path:
+    """Return the data folder of a split.
+
+    Raises:
+        ToolkitError: the split has no data folder.
+    """
+    root = roots.get(split, roots.get(None))
+    if root is None:
+        raise ToolkitError("no data for this split", field="data", value=split, hint="give ROOT")
+    return root
+
+
+def weights_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, Path]:
+    """Return weight files by method.
+
+    Args:
+        texts: `METHOD=FILE`, or `FILE` if there is one method.
+        methods: names of all methods.
+
+    Raises:
+        ToolkitError: weights without a method.
+    """
+    return {m: Path(text) for m, text in _by_method(texts, methods, "weights", "=")}
+
+
+def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return settings by method, with an entry for each of `methods`.
+
+    Args:
+        texts: `METHOD.NAME=VALUE`, or `NAME=VALUE` if there is one method.
+        methods: names of all methods.
+
+    Raises:
+        ToolkitError: a setting without a method, or without a value.
+    """
+    settings: dict[str, dict[str, str]] = {method: {} for method in methods}
+    for method, text in _by_method(texts, methods, "settings", "."):
+        name, value = setting_of(text)
+        settings[method][name] = value
+    return settings
+
+
+def _by_method(
+    texts: Sequence[str], methods: Sequence[str], field_name: str, separator: str
+) -> list[tuple[str, str]]:
+    """Pairs of a method and the text that applies to it."""
+    found = []
+    for text in texts:
+        method = next((m for m in methods if text.startswith(m + separator)), None)
+        if method is not None:
+            found.append((method, text.removeprefix(method + separator)))
+        elif len(methods) == 1:
+            found.append((methods[0], text))
+        else:
+            raise ToolkitError(
+                "does not say which method it is for",
+                field=field_name,
+                value=text,
+                hint=f"METHOD{separator}..., with one of {', '.join(methods)}",
+            )
+    return found
+
+
+def plain_label(name: str) -> str:
+    """Return the label of a method or planner given by location, or as a command.
+
+    >>> plain_label("my/file.py:Class")
+    'file.py.Class'
+    >>> plain_label("command:docker run megapose")
+    'command.docker'
+    >>> plain_label("object:Mine:0f3a")
+    'Mine'
+    """
+    if name.startswith(OBJECT):
+        return name.split(":")[1]
+    if name.startswith("command:"):
+        words = name.removeprefix("command:").split()
+        return f"command.{Path(words[0]).name}" if words else "command"
+    return name.rpartition("/")[2].replace(":", ".")
+
+
+def checked_label(text: str) -> str:
+    """Return `text` if it is usable as the name of a method in tables and folders.
+
+    Raises:
+        ToolkitError: it cannot be the name of a folder.
+    """
+    if len(text) > _LONGEST_LABEL:
+        raise ToolkitError(
+            f"must have at most {_LONGEST_LABEL} characters",
+            field="label",
+            value=f"{text[:40]}...",
+        )
+    if not _LABEL.fullmatch(text):
+        raise ToolkitError(
+            "must be usable as a folder's name",
+            field="label",
+            value=text,
+            hint="letters, digits and . _ + -",
+        )
+    return text
