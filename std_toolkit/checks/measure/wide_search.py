@@ -151,9 +151,9 @@ class SearchedView:
         low = np.maximum(np.floor(points.min(axis=0) - reach - 8), 0).astype(int)
         high = np.ceil(points.max(axis=0) + reach + 8).astype(int)
         part = self.smoothed[low[1] : high[1], low[0] : high[0]]
-        if min(part.shape[:2]) < 4 * _SCALE:
-            return []
         size = part.shape[1] // _SCALE, part.shape[0] // _SCALE
+        if min(size, default=0) < 2:
+            return []
         small = cv2.resize(part, size, interpolation=cv2.INTER_AREA).mean(axis=2)
         small = cv2.GaussianBlur(small, (0, 0), _BLUR_PX)
         gx = cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=1 / 8)
