@@ -45,7 +45,7 @@ class FrameMotionSettings(Settings):
     """length of a contour that counts as one sample"""
     smallest_gain: float = limit(6.0, unit="nats", source="set on seeds 1, 2, 11 and 111")
     """gain in log likelihood of a run of frames, besides the logarithm of the number of frames"""
-    unfit_gain: float = limit(2.0, unit="nats", source="set on seeds 1, 2, 11 and 111")
+    unfit_gain: float = limit(1.2, unit="nats", source="set on seeds 1, 2, 11 and 111")
     """the same where the label does not fit: that is evidence by itself"""
     per_frame: float = limit(
         0.5, unit="nats", source="longer runs are as many more, and have edges in common"
