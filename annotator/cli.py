@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from types import ModuleType
 from typing import TYPE_CHECKING
 
-from annotator.startup import quick_imports
+from annotator.startup import front_end
 from std_toolkit.cli.command import Command, Program, print_json
-from std_toolkit.cli.interrupt import whole_imports
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
@@ -42,10 +39,10 @@ def open_scene(options: AnnotateOptions) -> int:
     if options.web is not None:
         token = options.token or os.environ.get(TOKEN_VARIABLE)
         needs = ("aiohttp", "pyvista", "trame", "trame_vuetify")
-        app = _front_end("annotator.web.web_app", "web", needs, "a browser")
+        app = front_end("annotator.web.web_app", "web", needs, "a browser")
         return int(app.run(replace(options, token=token)))
     # Report missing packages before a missing display: installing needs no display.
-    app = _front_end("annotator.qt.qt_app", "gui", ("PySide6", "pyvista", "pyvistaqt"), "a window")
+    app = front_end("annotator.qt.qt_app", "gui", ("PySide6", "pyvista", "pyvistaqt"), "a window")
     return int(app.run(options))
 
 
@@ -97,42 +94,6 @@ def merge(options: MergeCommand) -> int:
         written = write_into(merged, overwrite=options.overwrite)
     print("\n".join(merge_lines(merged, written.root)))
     return 1 if merged.open else 0
-
-
-def _front_end(module: str, extra: str, needs: tuple[str, ...], what: str) -> ModuleType:
-    """Import a front end.
-
-    Raises:
-        ToolkitError: its libraries are not installed or do not load, or there is no display.
-    """
-    missing = [name for name in needs if importlib.util.find_spec(name) is None]
-    if missing:
-        raise ToolkitError(
-            f"annotating in {what} needs {', '.join(missing)}",
-            hint=f"pip install 'std-toolkit[{extra}]'",
-        )
-    if extra == "gui":
-        _require_display()
-    try:
-        with whole_imports(), quick_imports():
-            return importlib.import_module(module)
-    except ImportError as error:
-        # For example a missing system library of Qt or VTK.
-        raise ToolkitError(
-            f"annotating in {what} cannot start: {error}",
-            hint=f"pip install 'std-toolkit[{extra}]' and the system libraries that it names",
-        ) from error
-
-
-def _require_display() -> None:
-    """Raise an error without a display, where Qt would abort the process with a long message."""
-    known = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in known):
-        raise ToolkitError(
-            "there is no display for a window here",
-            hint="use --web PORT and a browser (remotely: ssh -L PORT:127.0.0.1:PORT), "
-            "or --script FILE",
-        )
 
 
 def _with_command(words: list[str]) -> list[str]:

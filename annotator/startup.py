@@ -1,14 +1,22 @@
-"""Faster imports of the view libraries, which import many unused modules."""
+"""Imports of the front ends: what is missing, and faster imports of the view libraries.
+
+Those import many unused modules.
+"""
 
 from __future__ import annotations
 
 import gc
 import importlib
+import importlib.util
+import os
 import sys
 import types
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.interrupt import whole_imports
 
 # Imported by pyvista for charts and example data, both unused: 0.3 s.
 LATER = ("matplotlib.pyplot", "pooch")
@@ -43,6 +51,42 @@ def quick_imports() -> Iterator[None]:
             gc.freeze()
         if was_enabled:
             gc.enable()
+
+
+def front_end(module: str, extra: str, needs: tuple[str, ...], what: str) -> types.ModuleType:
+    """Import a front end.
+
+    Raises:
+        ToolkitError: its libraries are not installed or do not load, or there is no display.
+    """
+    missing = [name for name in needs if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ToolkitError(
+            f"annotating in {what} needs {', '.join(missing)}",
+            hint=f"pip install 'std-toolkit[{extra}]'",
+        )
+    if extra == "gui":
+        _require_display()
+    try:
+        with whole_imports(), quick_imports():
+            return importlib.import_module(module)
+    except ImportError as error:
+        # For example a missing system library of Qt or VTK.
+        raise ToolkitError(
+            f"annotating in {what} cannot start: {error}",
+            hint=f"pip install 'std-toolkit[{extra}]' and the system libraries that it names",
+        ) from error
+
+
+def _require_display() -> None:
+    """Raise an error without a display, where Qt would abort the process with a long message."""
+    known = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in known):
+        raise ToolkitError(
+            "there is no display for a window here",
+            hint="use --web PORT and a browser (remotely: ssh -L PORT:127.0.0.1:PORT), "
+            "or --script FILE",
+        )
 
 
 class _Later(types.ModuleType):

@@ -44,7 +44,7 @@ def make_scene(images: Path, K: np.ndarray, root: Path) -> Any:
 
 def processor_seconds() -> float:
     """Processor time of this process and its children, running ones with those they waited for."""
-    from std_toolkit.cli.guard import children_of
+    from std_toolkit.jobs.guard import children_of
 
     ended = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     ticks = 0
@@ -88,7 +88,7 @@ def seconds_per_further_frame(scene: Any, work: Path) -> float:
     from std_toolkit.io.documents import read_document
     from std_toolkit.jobs import JobOptions
     from std_toolkit.poses import PoseOptions
-    from std_toolkit.poses.colmap import quiet_colmap
+    from std_toolkit.poses.colmap import Reconstruction, image_id_of, quiet_colmap
     from std_toolkit.poses.features import (
         FeatureJob,
         describe_image,
@@ -96,7 +96,6 @@ def seconds_per_further_frame(scene: Any, work: Path) -> float:
         load_features,
         train_vocabulary,
     )
-    from std_toolkit.poses.reconstruct import Reconstruction, image_id_of
     from std_toolkit.poses.register import RegistrationJob, build_index, register_frames
 
     options, jobs = PoseOptions(), JobOptions(progress=False)

@@ -100,7 +100,7 @@ def steps(folder: Path, out: Path) -> None:
     from benchmark.restoring.outputs import RestoreSetup, paths_of, write_frame
     from benchmark.restoring.recordings import open_recordings
     from benchmark.restoring.restorer import RestoredFrame, Restorer
-    from std_toolkit.options import ImageOptions
+    from std_toolkit.importers.options import ImageOptions
 
     os.environ["OMP_NUM_THREADS"] = "1"
     cv2.setNumThreads(1)

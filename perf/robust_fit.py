@@ -16,7 +16,7 @@ from scipy.io import loadmat
 
 from benchmark.methods.pose.fitting import FitOptions, fit_pose
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.geometry.camera import unproject_depth
+from std_toolkit.geometry.depth_maps import unproject_depth
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
 from std_toolkit.geometry.se3 import nearest_rotation, rotation_angle
 from std_toolkit.io.images import read_png

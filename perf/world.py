@@ -24,7 +24,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field, fields
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import get_args
 
@@ -34,6 +34,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/std_toolkit/checks"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/std_toolkit/labels"))
 
+import deviation_study
+import fault_table
 from deviation_study import pose_error
 from fault_table import FaultCase, Study
 
@@ -52,8 +54,9 @@ from std_toolkit.scene import Scene
 from std_toolkit.scene.model import Label, Labels
 
 KINDS: dict[str, tuple[Kind, ...]] = {"setting": SETTING, "judging": JUDGING}
-# The words of the check.
-FITS, DOUBTFUL, WRONG, UNKNOWN = get_args(result.Verdict)
+VERDICTS = get_args(result.Verdict)
+# Those that the tables ask for; a check with other words is noticed here.
+FITS, WRONG = (VERDICTS[VERDICTS.index(word)] for word in ("fits", "wrong"))
 LEVELS = ("4 mm, 3 deg", "8 mm, 5 deg", "12 mm, 8 deg", "half, quarter, over")
 
 
@@ -209,10 +212,13 @@ def measured(work: Path, world: World, faults: int, refine: bool) -> list[Row]:
     return msgspec.json.decode(path.read_bytes(), type=list[Row])
 
 
+@cache
 def _source() -> str:
+    """Digest of the source that measures and judges."""
     digest = hashlib.sha256()
     roots = Path(std_toolkit.__file__).parent, Path(__file__).parent.parent / "sensors/synthetic"
-    for path in sorted(p for root in roots for p in root.rglob("*.py")):
+    studies = [Path(str(module.__file__)) for module in (deviation_study, fault_table)]
+    for path in sorted([*studies, *(p for root in roots for p in root.rglob("*.py"))]):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -233,12 +239,10 @@ def print_tables(rows: list[Row]) -> None:
     right = [r for r in rows if r.trial == "right"]
     scenes = {r.seed: r.scene_passed for r in right}
     print(f"\n{len(scenes)} scenes, {sum(scenes.values())} pass with right labels")
-    print(
-        f"\nright labels{'':8}{'labels':>8}" + "".join(f"{w:>10}" for w in get_args(result.Verdict))
-    )
+    print(f"\nright labels{'':8}{'labels':>8}" + "".join(f"{w:>10}" for w in VERDICTS))
     for name, mine in groups(right):
         if mine:
-            shares = "".join(f"{_share(mine, w):>10.0%}" for w in get_args(result.Verdict))
+            shares = "".join(f"{_share(mine, w):>10.0%}" for w in VERDICTS)
             print(f"{name:<20}{len(mine):>8}{shares}")
     wrong = [r for r in rows if r.level >= 0]
     if wrong:

@@ -10,12 +10,13 @@ from std_toolkit.plugins import install, lazy_names
 
 if TYPE_CHECKING:
     from std_toolkit.checks.check_step import run_check
+    from std_toolkit.commands import LabelCommand
     from std_toolkit.errors import ToolkitError
     from std_toolkit.exporters.export_step import export_scene
     from std_toolkit.geometry.camera import Camera
     from std_toolkit.geometry.se3 import SE3
     from std_toolkit.importers.import_step import import_recording
-    from std_toolkit.jobs.options import JobOptions
+    from std_toolkit.importers.options import ImportRequest
     from std_toolkit.labels.entry.label import add_model, add_object, set_pose
     from std_toolkit.labels.entry.label_command import run_label_command
     from std_toolkit.labels.entry.pnp import solve_pnp
@@ -24,13 +25,13 @@ if TYPE_CHECKING:
     from std_toolkit.options import (
         CheckOptions,
         ExportOptions,
-        ImportRequest,
-        LabelCommand,
+        JobOptions,
         PoseOptions,
         PropagateOptions,
         RenderOptions,
     )
-    from std_toolkit.poses.pose_step import estimate_poses, failed_gates
+    from std_toolkit.poses.pose_gates import failed_gates
+    from std_toolkit.poses.pose_step import estimate_poses
     from std_toolkit.rendering.ground_truth import read_ground_truth, rendered_frames
     from std_toolkit.rendering.render_step import render_ground_truth
     from std_toolkit.scanning.options import ScanOptions
@@ -78,9 +79,9 @@ _MODULES = {
     "Camera": "geometry.camera",
     "CheckOptions": "options",
     "ExportOptions": "options",
-    "ImportRequest": "options",
-    "JobOptions": "jobs.options",
-    "LabelCommand": "options",
+    "ImportRequest": "importers.options",
+    "JobOptions": "options",
+    "LabelCommand": "commands",
     "PoseOptions": "options",
     "PropagateOptions": "options",
     "RenderOptions": "options",
@@ -91,7 +92,7 @@ _MODULES = {
     "add_object": "labels.entry.label",
     "estimate_poses": "poses.pose_step",
     "export_scene": "exporters.export_step",
-    "failed_gates": "poses.pose_step",
+    "failed_gates": "poses.pose_gates",
     "import_recording": "importers.import_step",
     "propagate_labels": "labels.propagate",
     "read_ground_truth": "rendering.ground_truth",

@@ -4,8 +4,6 @@ A camera gives colour and depth that are aligned to each other. `sensors` regist
 another camera, name a class in a file: `std-restore live --camera my_camera.py:MyCamera`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -101,6 +102,21 @@ EXTRAS: dict[str, str] = {
 }
 
 
+@contextmanager
+def located(path: Path | str | None, field: str | None = None) -> Iterator[None]:
+    """Context manager that adds the file, and the field if given, to errors of its block."""
+    try:
+        yield
+    except ToolkitError as error:
+        raise ToolkitError(
+            error.problem,
+            path=path,
+            field=field or error.field,
+            value=error.value,
+            hint=error.hint,
+        ) from error
+
+
 def is_interrupt(error: BaseException) -> bool:
     """Whether an error is a KeyboardInterrupt or comes from one.
 
@@ -178,6 +194,13 @@ def check_options(options: Any) -> None:
                 bound = getattr(part, bound_name, None)
                 if bound is not None and not all(holds(v, bound) for v in values):
                     raise ToolkitError(f"must be {words} {bound}", field=name, value=value)
+
+
+class CheckedOptions:
+    """Base of dataclasses of options that are checked when they are made, by `check_options`."""
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 def _parts(hint: Any) -> Iterator[Any]:

@@ -1,7 +1,5 @@
 """The toolkit's logger. Modules log to it; only the command line adds a handler."""
 
-from __future__ import annotations
-
 import logging
 import sys
 import threading

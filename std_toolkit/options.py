@@ -5,17 +5,16 @@ module imports no heavy library. Lengths are in metres and angles in radians unl
 unit.
 """
 
-from __future__ import annotations
-
 import enum
 import math
+import os
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.errors import CheckedOptions, ToolkitError, check_options
 
 Material = Literal["raw", "diffuse", "transparent", "specular"]
 LinkMode = Literal["copy", "hard", "sym"]
@@ -52,7 +51,35 @@ CameraConvention = Literal[
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownCameras:
+class JobOptions(CheckedOptions):
+    """Where work runs and how much of it in parallel."""
+
+    engine: Literal["local", "serial", "ray"] = "local"
+    """local (processes on this machine), serial (this process) or ray (needs extra `cluster`)"""
+    workers: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    """number of parallel processes or Ray tasks (default: the usable cores)"""
+    ray_address: str | None = None
+    """host:port of a running Ray cluster (default: start one on this machine)"""
+    gpus: Annotated[float, msgspec.Meta(ge=0)] = field(default=0.0, metadata={"option": None})
+    """GPUs that Ray reserves for each task, which sees only these; may be fractional"""
+    progress: bool = field(default=True, metadata={"option": None})
+    """show a progress bar if stderr is a terminal"""
+
+    @property
+    def worker_count(self) -> int:
+        """Number of processes: `workers`, or one for each core that this process may use."""
+        return self.workers or usable_cores()
+
+
+def usable_cores() -> int:
+    """Cores that this process may use; those of the machine where the system does not say."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1  # macOS, Windows
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownCameras(CheckedOptions):
     """Camera poses from a robot, a motion capture system or another reconstruction."""
 
     cameras: Path | None = None
@@ -77,61 +104,6 @@ class KnownCameras:
     base"""
     hand_eye_unit: Unit = "m"
     """unit of the hand-eye calibration"""
-
-    def __post_init__(self) -> None:
-        check_options(self)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImageOptions:
-    """Options for reading colour and depth images."""
-
-    color: str | None = None
-    """folder or quoted glob pattern of the colour images, or their topic in a recording of ROS"""
-    depth: str | None = None
-    """folder or quoted glob pattern of the depth images, aligned to colour, or their topic"""
-    depth_scale: float | None = None
-    """metres per unit of 16-bit depth (default: that of the format; 0.001 for separate images)"""
-    depth_correction: float = 1.0
-    """factor applied to all depth, from a calibration"""
-    intrinsics: str | None = None
-    """intrinsics file, or fx,fy,cx,cy in pixels (default: those of the format)"""
-    distortion: str | None = None
-    """OpenCV coefficients k1,k2,p1,p2[,k3[,k4,k5,k6]] (default: those of the file)"""
-    undistort_fov: Annotated[float, msgspec.Meta(ge=3, le=136)] | None = None
-    """undistort the images to a pinhole with this horizontal field of view in degrees (default: a
-    fisheye lens to a pinhole of the same focal length; other lenses keep their distortion)"""
-    skip_unpaired: bool = False
-    """skip frames that lack colour or depth"""
-    off_centre: bool = False
-    """accept a principal point far from the image centre (cropped images)"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportOptions(ImageOptions):
-    """Options for reading a recording in another format."""
-
-    material: Material | None = None
-    """material of imported objects whose format has none"""
-    models: Path | None = None
-    """folder of CAD models, for formats that store them separately"""
-    known: KnownCameras = field(default_factory=KnownCameras)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportRequest(ImportOptions):
-    """A recording to import.
-
-    Attributes:
-        source: folder or file of the recording; for separate colour and depth folders, the
-            folder of the colour images.
-        name: name of the new scene.
-        workspace: folder for images that are not files of their own, such as those of ROS.
-    """
-
-    source: Path
-    name: str
-    workspace: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,61 +177,6 @@ class PoseOptions(PoseBasics):
                     hint=f"one of {', '.join(kind)}",
                 ) from error
         check_options(self)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LabelCommand:
-    """Add an object and set its pose in one or more frames.
-
-    Repeat --frame, each with its own --pose or --correspondences. The frames become annotated
-    keyframes. The pose maps mesh coordinates to camera coordinates. Formats of --pose: a 4x4
-    matrix as text, .npy or JSON; JSON with quaternion_wxyz or quaternion_xyzw and translation_m
-    or translation_mm; BOP scene_gt.json; 6D-PAT poses.json; LabelFusion *_poses.yaml and
-    registration_result.yaml; vision6D .npy. See docs/labelling.md.
-    """
-
-    object: str = field(metadata={"option": "object"})
-    """name of the object in this scene"""
-    mesh: Path | None = None
-    """mesh file; it is copied into the scene"""
-    mesh_unit: Unit = "m"
-    """unit of the mesh file"""
-    model: str | None = None
-    """model id (default: name of the mesh file)"""
-    category: str | None = None
-    """category, such as mug (default: other)"""
-    material: Material | None = None
-    """material; refinement uses sensor depth on raw and diffuse objects only (default: diffuse)"""
-    symmetry: tuple[str, ...] | None = field(default=None, metadata=_REPEATED)
-    """auto (turns after which the mesh and its colours are the same), axis:z (continuous about z),
-    fold:z:4 (four-fold about z), a JSON file, or none; the axis
-    passes through the centre of the bounding box, or with '@origin' through the mesh origin; may
-    be repeated"""
-    frames: tuple[str, ...] = field(default=(), metadata={"option": "frame", **_REPEATED})
-    """file name, name or id of a frame; a number that means two frames is refused; may be
-    repeated"""
-    poses: tuple[Path, ...] = field(default=(), metadata={"option": "pose", **_REPEATED})
-    """file with the object's pose in this frame; may be repeated"""
-    correspondences: tuple[Path, ...] = field(default=(), metadata=_REPEATED)
-    """CSV or JSON file of four or more u, v (pixels) and x, y, z (mesh coordinates); may be
-    repeated"""
-    pose_format: str = "auto"
-    """matrix, quaternion, bop, 6dpat or labelfusion; auto detects it from the content"""
-    pose_unit: Unit | None = None
-    """unit of the translation, for files that do not define it"""
-    pose_convention: Literal["opencv", "opengl"] = "opencv"
-    """camera axes of the file: opencv (z forward) or opengl (-z forward)"""
-    pose_frame: str | None = None
-    """image to read from the file (default: that of --frame; a file that holds another image's pose
-    is refused)"""
-    pose_item: str | None = None
-    """object to read from a file of several objects"""
-    threshold_px: float = 4.0
-    """inlier threshold of PnP in pixels"""
-    add_view: bool = False
-    """keep earlier annotations of the object"""
-    annotator: str = ""
-    """name of the annotator"""
 
 
 @dataclass(frozen=True, kw_only=True)

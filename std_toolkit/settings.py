@@ -21,8 +21,6 @@ the same limits, and results record those that differ from the defaults (`change
 chooses for each run is an option of the step, in `std_toolkit.options`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import importlib.util

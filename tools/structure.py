@@ -26,7 +26,7 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 # tests/test_import_arrows.py tests the same order.
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
-        ("errors",),
+        ("arrays", "errors"),
         ("log", "options", "plugins", "settings"),
         ("compiled",),
         ("",),
@@ -35,6 +35,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cameras", "html", "scene"),
         ("poses", "rendering"),
         ("importers",),
+        ("commands",),
         ("exporters", "labels"),
         ("scanning",),
         ("checks",),

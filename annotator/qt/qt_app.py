@@ -20,7 +20,7 @@ from annotator.options import AnnotateOptions
 from annotator.qt.graphics import set_surface_format
 from annotator.qt.theme import apply_theme
 from annotator.startup import quick_imports
-from std_toolkit.cli.interrupt import whole_imports
+from std_toolkit.jobs.interrupt import whole_imports
 
 if TYPE_CHECKING:
     from annotator.qt.main_window import Shell

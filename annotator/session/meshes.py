@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.mesh import round_axis
+from std_toolkit.geometry.turned_surface import round_axis
 from std_toolkit.scene import Model
 
 if TYPE_CHECKING:

@@ -19,8 +19,9 @@ from annotator.session.meshes import Version
 from annotator.views.mesh_colors import mesh_colors
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.geometry.mesh import load_mesh, mesh_extents, round_axis, vertex_colors
+from std_toolkit.geometry.mesh import load_mesh, mesh_extents, vertex_colors
 from std_toolkit.geometry.surface_colors import SurfaceColors
+from std_toolkit.geometry.turned_surface import round_axis
 from std_toolkit.io.images import read_color, write_color
 from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.scene import Model

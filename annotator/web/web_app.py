@@ -29,8 +29,8 @@ from aiohttp.typedefs import Handler, Middleware
 from annotator.app.mesh_folder import MeshFolder, choose_folder
 from annotator.options import AnnotateOptions
 from annotator.session import Session
-from std_toolkit.cli.interrupt import whole_imports
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.interrupt import whole_imports
 from std_toolkit.log import logger
 
 # A browser that vanished without closing the socket is detected after about this time, seconds.

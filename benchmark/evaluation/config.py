@@ -15,7 +15,7 @@ import msgspec
 
 from benchmark.evaluation.values import roots_of, settings_by_method, weights_by_method
 from std_toolkit.errors import ToolkitError, check_options
-from std_toolkit.jobs.options import JobOptions
+from std_toolkit.options import JobOptions
 
 if TYPE_CHECKING:
     from benchmark.methods.registry import MethodOptions

@@ -20,7 +20,7 @@ from benchmark.evaluation.values import checked_label, data_of, plain_label
 from benchmark.methods.protocol import Restored, Restorer, View
 from benchmark.methods.registry import MethodOptions, weights_digest
 from std_toolkit.errors import ToolkitError, is_interrupt
-from std_toolkit.jobs.options import error_of
+from std_toolkit.jobs.outcome import error_of
 
 if TYPE_CHECKING:
     from benchmark.evaluation.config import FrameConfig

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import msgspec
 
 from std_toolkit import __version__
-from std_toolkit.jobs.options import usable_cores
+from std_toolkit.options import usable_cores
 
 # Names that tables, pages and terminals show. Results may come from somebody else.
 Name = Annotated[str, msgspec.Meta(max_length=300, pattern=r'^[^\x00-\x1f\x7f<>"]*$')]

@@ -13,7 +13,7 @@ import msgspec
 
 from benchmark.training.options import Machine, Precision
 from std_toolkit.errors import ToolkitError, check_known, check_options
-from std_toolkit.jobs.options import JobOptions
+from std_toolkit.options import JobOptions
 
 FOLDER = Path(__file__).with_name("experiments")
 

@@ -23,8 +23,7 @@ from benchmark.restoring.recordings import INTRINSICS, FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer
 from std_toolkit.cameras import CAMERAS, CameraRequest, LiveCamera, LiveFrame
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.undistortion import Undistortion
+from std_toolkit.geometry.camera import Camera, Undistortion
 from std_toolkit.html.preview import PreviewPage, encoded
 from std_toolkit.io.atomic import check_vacant, write_bytes_atomic
 from std_toolkit.io.documents import write_document

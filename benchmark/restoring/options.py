@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
-from std_toolkit.jobs.options import JobOptions
-from std_toolkit.options import ImageOptions
+from std_toolkit.importers.options import ImageOptions
+from std_toolkit.options import JobOptions
 
 Backend = Literal["auto", "onnx", "torch"]
 DepthFormat = Literal["same", "png", "exr"]

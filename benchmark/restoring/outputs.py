@@ -13,7 +13,8 @@ from benchmark.methods.registry import weights_digest
 from benchmark.restoring.options import DepthFormat, MethodChoice
 from benchmark.restoring.recordings import FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
-from std_toolkit.geometry.camera import Camera, unproject_depth
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.depth_maps import unproject_depth
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import digest_file, digest_of, write_document
 from std_toolkit.io.exr import write_exr

@@ -12,16 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.undistortion import Undistortion
-from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, check_unit, read_foreign_depth
+from std_toolkit.geometry.camera import Camera, Undistortion
+from std_toolkit.importers.foreign_files import (
+    DEPTH_SUFFIXES,
+    check_unit,
+    is_ros_recording,
+    read_foreign_depth,
+)
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import IMPORTERS, Recording, SourceFile, detect_format
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
-from std_toolkit.importers.ros_importer import is_ros_recording
+from std_toolkit.importers.options import ImageOptions, ImportRequest
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
-from std_toolkit.options import ImageOptions, ImportRequest
 from std_toolkit.scene.document import safe_name
 
 # Read beside color/ and depth/ if no --intrinsics are given.

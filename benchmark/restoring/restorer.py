@@ -23,7 +23,8 @@ from benchmark.methods.registry import (
 )
 from benchmark.restoring.options import Backend, MethodChoice
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import LARGEST_MEDIAN_DEPTH_M, Camera
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.depth_maps import LARGEST_MEDIAN_DEPTH_M
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, Self
 import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
-from std_toolkit.jobs.options import JobOptions
+from std_toolkit.options import JobOptions
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]

@@ -17,7 +17,7 @@ from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.artefact import begin
-from std_toolkit.jobs.options import error_of
+from std_toolkit.jobs.outcome import error_of
 
 _WAYS = {"cubic": cv2.INTER_CUBIC, "area": cv2.INTER_AREA}
 

@@ -4,8 +4,6 @@ Every depth pixel is drawn as a small patch of surface. One pass over the pixels
 of one core at 1280x720, so that the writers of a recording keep up with the camera.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

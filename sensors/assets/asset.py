@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.scene.document import check_name
@@ -18,7 +19,6 @@ from std_toolkit.scene.model import CATEGORY_CLASS_IDS
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 NO_SYMMETRY = Symmetry()
 # Rotations about the vertical axis through the centre, by any angle.
 TURN_Y = Symmetry(continuous=(((0.0, 1.0, 0.0), (0.0, 0.0, 0.0)),))
@@ -60,7 +60,7 @@ class Asset:
     mesh: trimesh.Trimesh
     symmetry: Symmetry = NO_SYMMETRY
     face_colors: NDArray[np.uint8] | None = None
-    corner_uv: NDArray[np.float32] | None = None
+    corner_uv: Floats | None = None
     texture: NDArray[np.uint8] | None = None
     diagonal_m: float | None = None
     face_parts: NDArray[np.str_] | None = None
@@ -148,9 +148,7 @@ def canonical_frame(
     return canonical.astype(np.float32).astype(np.float64), diagonal
 
 
-def welded(
-    vertices: Array, faces: NDArray[np.integer]
-) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
+def welded(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, NDArray[np.int64], Mask]:
     """Merge coincident vertices and drop the faces that degenerate.
 
     Returns:

@@ -1,7 +1,5 @@
 """Asset sources by name, and the size range of each category."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -3,8 +3,6 @@
 `cc0.json` lists them with their checksums. A file whose bytes differ is refused.
 """
 
-from __future__ import annotations
-
 import hashlib
 import urllib.error
 import urllib.request

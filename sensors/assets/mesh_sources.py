@@ -15,8 +15,6 @@ Coordinates are only centred and scaled; they carry no real size.
 Source of the layout and axes: the read-me of each version and https://shapenet.org/annotations.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace

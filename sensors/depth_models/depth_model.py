@@ -1,7 +1,5 @@
 """The interface of depth models, and their registry."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -7,8 +7,6 @@ correlations of 0.90, 0.76 and 0.46 at distances of 1, 2 and 4 pixels; the camer
 0.054 px. On the simulated plane, shot and read noise give 0.018 to 0.028 px.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +20,7 @@ from sensors.specs import SensorSpec
 from sensors.stereo import disparity_to_depth, make_matcher
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.jobs.options import usable_cores
+from std_toolkit.options import usable_cores
 
 Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 

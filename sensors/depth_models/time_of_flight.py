@@ -9,8 +9,6 @@ The phases are unwrapped as in the weighted search over the wraps of all frequen
 Holz, Behnke, "Multi-frequency Phase Unwrapping for Time-of-Flight cameras" (IROS 2010).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sources of environment maps: procedural studios, or a folder of yours."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable

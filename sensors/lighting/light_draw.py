@@ -3,8 +3,6 @@
 The floor's material is drawn from the library, or has an image from a user's folder.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

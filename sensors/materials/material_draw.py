@@ -3,8 +3,6 @@
 `ClassChoice` has the probabilities per category; ablations restrict the allowed classes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path

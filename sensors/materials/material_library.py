@@ -5,8 +5,6 @@ glass. The parameter values, not a separate shader, make a surface diffuse or sp
 renderer needs one compiled kernel for all materials.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path

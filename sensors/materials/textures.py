@@ -4,8 +4,6 @@ Every pattern consists of periodic components (noise filtered in the Fourier dom
 of waves), so that tiles join without a seam.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -21,8 +21,6 @@ nor meshes, and a meta line is the mask id, the class and the material. The reco
 OUT/parameters/novel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

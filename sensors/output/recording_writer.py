@@ -4,12 +4,9 @@ The layout is that of the quick synthetic recordings (`sensors.synthetic`), so t
 annotation and scoring apply: color/, depth/ (16 bit), models/, intrinsics.json, truth.json.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,13 +15,11 @@ from sensors.output.scene_record import ReceivedFrames, scene_record
 from sensors.output.simulated_frame import SimulatedFrame, SimulatedScene
 from sensors.output.toolkit_scene import frame_name, label_color, metric_objects
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.importers.foreign_files import write_mesh
 from std_toolkit.io import atomic, documents, images
 from std_toolkit.scene.model import CameraModel, Material, SymmetryModel
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry import Camera
 
 DEPTH_SCALE = 0.001
 

@@ -5,8 +5,6 @@ folder beside the finished ones, whatever its name. It is therefore written belo
 top of the data set and moved into place when it is complete.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import re

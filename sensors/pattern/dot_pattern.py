@@ -6,22 +6,18 @@ from the axis: 73 % of the central density at 27 degrees, 59 % at 35. An image o
 showed 70 % and 59 %.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from sensors.specs import SensorSpec
+from std_toolkit.arrays import Array, Floats
 from std_toolkit.compiled import compiled
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
-
-Array = NDArray[np.float64]
 
 # Farthest dot from the axis, in radians.
 WIDEST = 1.3
@@ -152,7 +148,7 @@ class DotPattern:
         dots: (N, 2) x/z and y/z of the dots, or None if unknown.
     """
 
-    image: NDArray[np.float32]
+    image: Floats
     fov_x_deg: float
     dots: Array | None = None
 
@@ -227,7 +223,7 @@ def _square_radians(half: Array) -> float:
 
 def _image_of(
     at: Array, power: Array, shape: tuple[int, int], lit_share: float, name: str
-) -> NDArray[np.float32]:
+) -> Floats:
     """Gaussian dots with the spread at which `lit_share` of the image exceeds half a peak."""
     points = _points(at, power, shape)
     low, high = 0.2, 20.0
@@ -245,7 +241,7 @@ def _image_of(
     return np.minimum(_blurred(points, spread), 1)
 
 
-def _points(at: Array, power: Array, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _points(at: Array, power: Array, shape: tuple[int, int]) -> Floats:
     """The dots as points of light, each distributed over the four nearest pixels."""
     points = np.zeros((shape[0] + 2, shape[1] + 2))
     corner = np.floor(at).astype(int)
@@ -257,6 +253,6 @@ def _points(at: Array, power: Array, shape: tuple[int, int]) -> NDArray[np.float
     return points[1:-1, 1:-1].astype(np.float32)
 
 
-def _blurred(points: NDArray[np.float32], spread: float) -> NDArray[np.float32]:
+def _blurred(points: Floats, spread: float) -> Floats:
     peak = np.float32(2 * np.pi * spread**2)
     return cv2.GaussianBlur(points, (0, 0), spread) * peak

@@ -7,8 +7,6 @@ each part as `sizes`. After SECONDS of processor time the process is killed. If 
 closes earlier, the caller died: the process then ends and removes the folder of OUT.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

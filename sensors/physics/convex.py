@@ -1,7 +1,5 @@
 """Convex parts of a mesh, computed once and cached in a folder by the shape's hash."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import io

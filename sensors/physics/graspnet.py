@@ -11,8 +11,6 @@ Layout below the data set's folder, as the authors' reader and evaluation use it
 - `.../cam0_wrt_table.npy`: (4, 4), camera of image 0 to the table, whose top is z = 0, z up.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass

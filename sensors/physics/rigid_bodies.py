@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensors.assets.asset import Asset
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, rotation_angle
 
 if TYPE_CHECKING:
     import mujoco
 
-Array = NDArray[np.float64]
 TIMESTEP_S = 0.002
 # Sliding, torsional and rolling friction. Without rolling friction, bottles never stop rolling.
 _FRICTION = (0.7, 0.005, 0.003)

@@ -1,19 +1,16 @@
 """Objects dropped at random until they come to rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensors.physics.rigid_bodies import PhysicalObject, World, come_to_rest
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.log import logger
 
-Array = NDArray[np.float64]
 # From the canonical frame, y up, to the world, z up.
 UPRIGHT = so3_exp([np.pi / 2, 0, 0])
 # Objects that stand start this far above the floor and apart from each other.

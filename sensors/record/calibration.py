@@ -1,22 +1,18 @@
 """Calibration read from the camera, as OpenCV models, compared with its specification."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from sensors.record.realsense import Stream, librealsense
 from sensors.record.recording_document import Calibration, DeviceInfo
 from sensors.specs import SensorSpec, load_sensor, names
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, rotation_angle
 from std_toolkit.scene.model import CameraModel
-
-Array = NDArray[np.float64]
 
 # A larger residual of the fit with OpenCV's model would shift labels.
 LARGEST_RESIDUAL_PX = 0.05

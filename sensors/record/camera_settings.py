@@ -1,7 +1,5 @@
 """Exposure, emitter and preset of a connected camera."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from sensors.record.options import CameraSettings

@@ -89,11 +89,11 @@ def _record(options: RecordCommand, scene: Path) -> None:
             stop=stop,
         ) as source:
             made = _session(options, scene, session, source, streams)
-    print(_summary(scene, made))
+    print(made.summary(scene))
 
 
 def _is_ros(file: str) -> bool:
-    from std_toolkit.importers.ros_importer import is_ros_recording
+    from std_toolkit.importers.foreign_files import is_ros_recording
 
     return is_ros_recording(Path(file))
 
@@ -105,7 +105,7 @@ def _import_ros(options: RecordCommand, file: str, scene: Path) -> None:
         ToolkitError: an option that only a camera or a file of librealsense has.
     """
     from std_toolkit.importers.import_step import import_recording
-    from std_toolkit.options import ImportRequest
+    from std_toolkit.importers.options import ImportRequest
     from std_toolkit.scene.document import check_name
 
     name = check_name(options.session.name or scene.absolute().name, field="--name")
@@ -184,21 +184,6 @@ def _session(
             on_start=lambda frame: lock(streams, settings, frame.exposure_s),
             watch=watch,
         )
-
-
-def _summary(scene: Path, session: recording_document.Session) -> str:
-    lost = max(session.lost.values(), default=0)
-    single = sum(session.single.values())
-    lines = [
-        f"{session.frames} frames in {session.seconds:.1f} s written to {scene}",
-        f"dropped: {session.dropped} because writing was behind, {lost} lost before they arrived, "
-        f"{single} images without a partner",
-    ]
-    if session.dropped:
-        lines.append(
-            "to drop none: more --threads, --color-format jpg, a lower --fps, a faster disk"
-        )
-    return "\n".join([*lines, f"next: std-curate poses {shlex.quote(str(scene))}"])
 
 
 def _list(options: RecordCommand) -> None:

@@ -5,8 +5,6 @@ usual match search. Sensor noise does not repeat, so images become 10 to 20 % sm
 colour 23 ms instead of 56, depth 16 instead of 26, infrared 8 instead of 18 (`perf/record.py`).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -6,8 +6,6 @@ frames. In between, a line per finished frame is appended to a journal; `recover
 table from it after a killed recording.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time

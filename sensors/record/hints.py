@@ -6,8 +6,6 @@ that are still tracked. When it falls below a limit, the current image counts as
 are not compared with all earlier ones: a camera that returns to a place counts again.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.record.recording_document import CapturedFrame, Image8
+from std_toolkit.arrays import Floats, Mask
 
 # Images are analysed at this width: a few milliseconds each.
 WIDTH = 320
@@ -224,7 +223,7 @@ class ViewChange:
         self._of_view = np.concatenate([self._of_view, np.zeros(len(fresh), dtype=bool)])
 
 
-def _corners(grey: Grey, known: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+def _corners(grey: Grey, known: Floats, count: int) -> Floats:
     """(N, 1, 2) corners away from the known ones."""
     free = np.full(grey.shape, 255, dtype=np.uint8)
     for x, y in known[:, 0]:
@@ -236,9 +235,7 @@ def _corners(grey: Grey, known: NDArray[np.float32], count: int) -> NDArray[np.f
     return empty if found is None else np.asarray(found, dtype=np.float32)
 
 
-def _follow(
-    last: Grey, grey: Grey, points: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _follow(last: Grey, grey: Grey, points: Floats) -> tuple[Floats, Mask]:
     """New positions of the points, and which of them are reliable."""
     there, seen, _ = cv2.calcOpticalFlowPyrLK(last, grey, points, np.empty_like(points))
     back, seen_back, _ = cv2.calcOpticalFlowPyrLK(grey, last, there, np.empty_like(points))

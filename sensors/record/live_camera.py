@@ -1,7 +1,5 @@
 """A connected RealSense as a live camera, such as `std-restore live` reads."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """User interface while recording: the status line, the keys, the preview image and its page."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Callable

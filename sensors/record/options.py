@@ -1,7 +1,5 @@
 """Options of `std-record`; they import nothing heavy."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 from math import isfinite
@@ -10,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.errors import CheckedOptions, ToolkitError, check_options
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -22,7 +20,7 @@ _OFF: dict[str, Any] = {"option": None}
 
 
 @dataclass(frozen=True)
-class StreamRequest:
+class StreamRequest(CheckedOptions):
     """Streams of a camera; sizes are (width, height)."""
 
     color: tuple[int, int] = field(default=(1280, 720), metadata=_SIZE)
@@ -33,9 +31,6 @@ class StreamRequest:
     """frames per second"""
     infrared: bool = field(default=False, metadata=_OFF)
     """infrared images too"""
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,7 @@ class CameraSettings:
 
 
 @dataclass(frozen=True)
-class FileOptions:
+class FileOptions(CheckedOptions):
     """How frames become files."""
 
     color_format: ColorFormat = "jpg"
@@ -83,9 +78,6 @@ class FileOptions:
     raw_depth: bool = False
     """keep unaligned depth in reference/"""
 
-    def __post_init__(self) -> None:
-        check_options(self)
-
     @property
     def kept(self) -> list[str]:
         """Kinds of maps in `reference/`."""
@@ -94,7 +86,7 @@ class FileOptions:
 
 
 @dataclass(frozen=True)
-class WriterOptions:
+class WriterOptions(CheckedOptions):
     """How frames are queued and written."""
 
     files: FileOptions = field(default_factory=FileOptions)
@@ -106,9 +98,6 @@ class WriterOptions:
     """recording ends before the disk has fewer gigabytes left"""
     resume: bool = False
     """add frames to the existing scene"""
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
     @property
     def keep_free_bytes(self) -> int:

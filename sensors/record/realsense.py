@@ -1,7 +1,5 @@
 """librealsense: connected cameras, their information, and the streams to record."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -66,6 +67,21 @@ class Session(Document, frozen=True, kw_only=True):
     lost: dict[str, Count] = msgspec.field(default_factory=dict)
     single: dict[str, Count] = msgspec.field(default_factory=dict)
     settings: dict[str, str] = msgspec.field(default_factory=dict)
+
+    def summary(self, scene: Path) -> str:
+        """What was recorded, what was lost, and the next command, in lines."""
+        lost = max(self.lost.values(), default=0)
+        single = sum(self.single.values())
+        lines = [
+            f"{self.frames} frames in {self.seconds:.1f} s written to {scene}",
+            f"dropped: {self.dropped} because writing was behind, {lost} lost before they arrived, "
+            f"{single} images without a partner",
+        ]
+        if self.dropped:
+            lines.append(
+                "to drop none: more --threads, --color-format jpg, a lower --fps, a faster disk"
+            )
+        return "\n".join([*lines, f"next: std-curate poses {shlex.quote(str(scene))}"])
 
 
 class RecordingDocument(Document, frozen=True, kw_only=True):

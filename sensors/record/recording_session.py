@@ -1,7 +1,5 @@
 """One recording, from the first image to the last written frame."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Frames of librealsense: pixel formats, pairing by time, and alignment by the SDK."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

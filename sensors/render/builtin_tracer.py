@@ -5,8 +5,6 @@ ignores the option `diffuse_bounces`: its paths end by `max_depth` alone.
 Import only after a variant has been set.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba

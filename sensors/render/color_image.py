@@ -5,8 +5,6 @@ threads to the first ones, which several workers on one machine would then share
 depend on the number of threads.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 
@@ -17,12 +15,13 @@ from numpy.typing import NDArray
 
 from sensors.materials.textures import to_srgb
 from sensors.render.sim_renderer import ColorLight
+from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
 MIDDLE_GREY = 0.2
 
-Image = NDArray[np.float32]
+Image = Floats
 
 
 """Linear value to which the exposure maps the log-mean of the image."""
@@ -38,9 +37,7 @@ NOISE = 0.006
 """Standard deviation of the camera noise as a fraction of full scale."""
 
 
-def denoise(
-    light: ColorLight, *, threads: int | None = None, fast: bool = False
-) -> NDArray[np.float32]:
+def denoise(light: ColorLight, *, threads: int | None = None, fast: bool = False) -> Floats:
     """(H, W, 3) radiance without the renderer's noise, by Open Image Denoise if installed.
 
     Without it (package pyoidn) the radiance is returned unchanged, with one warning.

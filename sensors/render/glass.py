@@ -12,8 +12,6 @@ less than their thickness. Solids bend it: they let a share of it through (`Tabl
 Import only after a variant has been set.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 The figures were measured on the infrared pair of a real D415 (640x360, a cloth at 0.45 m).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

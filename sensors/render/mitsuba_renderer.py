@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.lighting.environment import EnvironmentMap
 from sensors.render import mitsuba_scene
 from sensors.render.color_image import Denoiser, denoiser
 from sensors.render.sim_renderer import DRAFT_COLOR, DRAFT_INFRARED, ColorLight, RenderOptions
-from sensors.render.sim_scene import Projector, SimScene
+from sensors.render.sim_scene import Projector, SceneObject, SimScene
 from sensors.render.variant import choose_variant
-from std_toolkit.cli.interrupt import whole_imports
+from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import z_to_distance
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.depth_maps import z_to_distance
+from std_toolkit.jobs.interrupt import whole_imports
 from std_toolkit.rendering.renderer import check_no_distortion
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sensors.lighting.environment import EnvironmentMap
-    from sensors.render.sim_scene import SceneObject
-    from std_toolkit.geometry import SE3, Camera
 
 _FEATURE_SAMPLES, _FAST_FEATURE_SAMPLES = 4, 2
 # Paths of time of flight, beside those of light that is directly in view.
@@ -135,7 +132,7 @@ class MitsubaScene:
         ambient: float,
         options: RenderOptions = DRAFT_INFRARED,
         seed: int = 0,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Floats, Floats]:
         """See `LoadedScene.infrared_pair`; one launch where the variant is compiled."""
         rest: dict[str, Any] = {"ambient": ambient, "options": options}
         if self._lights_apart(projector, ambient, options):
@@ -156,7 +153,7 @@ class MitsubaScene:
         ambient: float,
         options: RenderOptions = DRAFT_INFRARED,
         seed: int = 0,
-    ) -> NDArray[np.float32]:
+    ) -> Floats:
         """See `LoadedScene.infrared`.
 
         Without a denoiser, or a compiled variant, both lights are rendered together, with four
@@ -189,7 +186,7 @@ class MitsubaScene:
         ambient: float,
         options: RenderOptions,
         seed: int,
-    ) -> NDArray[np.float32]:
+    ) -> Floats:
         """(N, H, W) the projector's direct light, and all other light, denoised."""
         views = len(T_world_cams)
         clean = denoiser(self._threads)
@@ -286,9 +283,7 @@ class MitsubaScene:
             )
         return np.asarray(direct + late, np.complex64)
 
-    def first_hits(
-        self, camera: Camera, T_world_cam: SE3
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def first_hits(self, camera: Camera, T_world_cam: SE3) -> tuple[Floats, Floats]:
         """z-depth (H, W) and world normal (H, W, 3) of the surfaces at pixel centres.
 
         Only compiled variants support it. The maps of a data set come from `truth`; tests compare
@@ -296,7 +291,7 @@ class MitsubaScene:
         """
         return self._tracer(infrared=False).first_hits(camera, T_world_cam)
 
-    def _radiance(self, camera: Camera, *args: Any, **keywords: Any) -> NDArray[np.float32]:
+    def _radiance(self, camera: Camera, *args: Any, **keywords: Any) -> Floats:
         check_no_distortion("mitsuba", camera)
         self._mi.set_variant(self._variant)
         return self._tracer(infrared=keywords["grey"]).radiance(camera, *args, **keywords)
@@ -308,9 +303,9 @@ def _feature_samples(options: RenderOptions) -> int:
 
 def _denoised_phasor(
     phasor: NDArray[np.complexfloating],
-    light: NDArray[np.float32],
+    light: Floats,
     clean: Denoiser,
-    features: tuple[NDArray[np.float32], NDArray[np.float32]],
+    features: tuple[Floats, Floats],
     fast: bool,
 ) -> NDArray[np.complexfloating]:
     """(H, W) complex sums of light after a denoiser, which accepts no negative numbers."""
@@ -320,7 +315,7 @@ def _denoised_phasor(
     return np.asarray(found[..., 0] - found[..., 2] + 1j * (found[..., 1] - found[..., 2]))
 
 
-def bounded_mean(paths: NDArray[np.float32]) -> NDArray[np.float32]:
+def bounded_mean(paths: Floats) -> Floats:
     """(H, W) mean of single paths (H, W, n), each at most twice as bright as the brightest dots.
 
     Dots are sharp: the paths of a pixel at the border of one differ, so that, unlike in
@@ -331,7 +326,7 @@ def bounded_mean(paths: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.minimum(paths, 2 * dots).mean(axis=2), np.float32)
 
 
-def clipped_mean(chunks: NDArray[np.float32]) -> NDArray[np.float32]:
+def clipped_mean(chunks: Floats) -> Floats:
     """(H, W, c) mean of chunks (H, W, n, c); values far above a pixel's median are clipped.
 
     Otherwise single paths of extreme brightness (fireflies) would speckle the image. The bound is

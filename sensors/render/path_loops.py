@@ -4,8 +4,6 @@ Dr.Jit rewrites these functions: they are written without types, and conditions 
 are decided when they are compiled. Import only after a variant has been set.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit

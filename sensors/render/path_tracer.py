@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from sensors.render import glass, mitsuba_scene, path_loops, sim_renderer, sim_scene
 from sensors.render.sky import Sky
+from std_toolkit.arrays import Floats
 from std_toolkit.geometry import SE3, Camera
 
 mi: Any = mitsuba  # their types differ by variant
@@ -98,7 +99,7 @@ class PathTracer:
         seed: int,
         grey: bool,
         indirect: bool = False,
-    ) -> NDArray[np.float32]:
+    ) -> Floats:
         """(N H, W, n, c) float32: mean of every chunk of every pixel; c is 1 where `grey`.
 
         The images of N cameras are one below the other, rendered in one launch. `indirect` leaves
@@ -139,7 +140,7 @@ class PathTracer:
         options: sim_renderer.RenderOptions,
         seed: int,
         late: bool = False,
-    ) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.complex64], Floats]:
         """Means over the light paths of a pixel, of the lamp's light alone.
 
         The length is that of a path from the lamp over the surfaces to the camera, metres; the
@@ -172,7 +173,7 @@ class PathTracer:
 
     def features(
         self, camera: Camera, T_world_cam: SE3 | Sequence[SE3], *, samples: int, seed: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Floats, Floats]:
         """Albedo and world-frame normal of what is seen, (N H, W, 3) float32 each.
 
         The albedo is that of the first surface behind glass, the normal that of the glass.
@@ -182,9 +183,7 @@ class PathTracer:
         maps = np.stack(_means([*albedo, *normal], count, (-1, camera.width)), axis=-1)
         return np.ascontiguousarray(maps[..., :3]), np.ascontiguousarray(maps[..., 3:])
 
-    def first_hits(
-        self, camera: Camera, T_world_cam: SE3
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def first_hits(self, camera: Camera, T_world_cam: SE3) -> tuple[Floats, Floats]:
         """z-depth (H, W), 0 = none, and world normal (H, W, 3) at every pixel centre."""
         x, y = (g.ravel().astype(np.float32) for g in np.moveaxis(camera.pixel_grid(), -1, 0))
         ray = _camera_rays(camera, T_world_cam, mi.Float(x), mi.Float(y))
@@ -257,7 +256,7 @@ class PathTracer:
         )
 
 
-def _means(parts: list[Any], count: int, shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
+def _means(parts: list[Any], count: int, shape: tuple[int, ...]) -> list[Floats]:
     """Mean of every `count` consecutive numbers of each part, float32 of a shape."""
     dr.eval(*parts)  # together: separately, every sum would run the whole kernel
     sums = [dr.block_sum(part, count) for part in parts]

@@ -4,22 +4,16 @@
 renders the exact maps. Neither depends on which renderer is used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sensors.lighting.environment import EnvironmentMap
+from sensors.render.sim_scene import Projector, SceneObject, SimScene
+from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.plugins import Registry
-
-if TYPE_CHECKING:
-    from sensors.lighting.environment import EnvironmentMap
-    from sensors.render.sim_scene import Projector, SceneObject, SimScene
-    from std_toolkit.geometry import SE3, Camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +119,9 @@ class ColorLight:
         normal: (H, W, 3) float32 normal of the first surface, world frame, or None.
     """
 
-    radiance: NDArray[np.float32]
-    albedo: NDArray[np.float32] | None = None
-    normal: NDArray[np.float32] | None = None
+    radiance: Floats
+    albedo: Floats | None = None
+    normal: Floats | None = None
 
 
 @runtime_checkable
@@ -153,7 +147,7 @@ class LoadedScene(Protocol):
         ambient: float,
         options: RenderOptions = DRAFT_INFRARED,
         seed: int = 0,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[Floats, Floats]:
         """`infrared` of two cameras, with different paths: equal noise would match as texture."""
         ...
 
@@ -166,7 +160,7 @@ class LoadedScene(Protocol):
         ambient: float,
         options: RenderOptions = DRAFT_INFRARED,
         seed: int = 0,
-    ) -> NDArray[np.float32]:
+    ) -> Floats:
         """(H, W) float32 radiance under the projector and `ambient` times the environment.
 
         What the projector lights is never denoised: a denoiser would add dots, which stereo then

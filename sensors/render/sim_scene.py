@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sensors.lighting.environment import EnvironmentMap
 from sensors.materials.material_draw import DrawnMaterial
+from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.rendering.maps import Composition, compose, mask_of, surface_maps
@@ -167,7 +168,7 @@ class Projector:
             raise ToolkitError("must lie in 1..170", field="fov_x_deg", value=self.fov_x_deg)
 
     @cached_property
-    def image(self) -> NDArray[np.float32]:
+    def image(self) -> Floats:
         """(h, w) float32 in 0..1."""
         scale = 255 if self.pattern.dtype == np.uint8 else 1
         return np.ascontiguousarray(self.pattern, np.float32) / np.float32(scale)
@@ -192,10 +193,10 @@ class TruthMaps:
         normals: (H, W, 3) float32 camera frame, towards the camera; 0 where there is no surface.
     """
 
-    depth: NDArray[np.float32]
+    depth: Floats
     mask: NDArray[np.uint8]
-    nocs: NDArray[np.float32]
-    normals: NDArray[np.float32]
+    nocs: Floats
+    normals: Floats
 
 
 class TruthCaster:
@@ -217,9 +218,7 @@ class TruthCaster:
         nocs[mask == 0] = 0
         return TruthMaps(composition.depth, mask, nocs, normals)
 
-    def depth_and_mask(
-        self, camera: Camera, T_world_cam: SE3
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def depth_and_mask(self, camera: Camera, T_world_cam: SE3) -> tuple[Floats, NDArray[np.uint8]]:
         """The depth and the mask of `maps` alone."""
         _, composition, mask = self._seen(camera, T_world_cam)
         return composition.depth, mask

@@ -8,8 +8,6 @@ pixel have 9 % of noise; with cells in arbitrary order they had 13 %.
 Import only after a variant has been set.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """The smallest scene with every feature: a Mitsuba variant must render it to be chosen."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sensors.lighting.environment_sources import studio_map

@@ -5,8 +5,6 @@ may do worse; so every candidate renders a small scene in a child process first.
 cached for the process and, through an environment variable, for the workers that it starts.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

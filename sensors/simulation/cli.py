@@ -1,22 +1,18 @@
 """`std-sim`: simulate a data set, preview a scene, photograph a mesh, print statistics."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+from sensors.simulation.options import (
+    PRESETS,
+    AssetsCommand,
+    PreviewCommand,
+    RunCommand,
+    StatsCommand,
+    TurntableOptions,
+    with_preset,
+)
 from std_toolkit.cli.command import Command, Program, print_json
-from std_toolkit.cli.command_options import words_of
-
-if TYPE_CHECKING:
-    from sensors.simulation.options import (
-        AssetsCommand,
-        PreviewCommand,
-        RunCommand,
-        StatsCommand,
-        TurntableOptions,
-    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,7 +24,6 @@ def run(options: RunCommand) -> int:
     """Simulate scenes; 1 if one failed."""
     from msgspec.structs import replace
 
-    from sensors.simulation.options import PRESETS
     from sensors.simulation.simulated_set import simulate_set
 
     count = PRESETS[options.preset].scenes if options.scenes is None else options.scenes
@@ -120,37 +115,6 @@ def assets(options: AssetsCommand) -> None:
     print(f"{made} files downloaded, {len(found) - made} were there; in {options.out}")
 
 
-def _with_preset(words: list[str]) -> list[str]:
-    """The options of the requested preset, followed by the given ones.
-
-    Several layouts may follow one `--layout`.
-    """
-    words = _one_layout_each(words)
-    start = next((i for i, w in enumerate(words) if w not in ("--quiet", "--debug")), len(words))
-    command = "".join(words[start : start + 1])
-    start += command in ("run", "preview")
-    added = ["--views", "4"] if command == "preview" else []
-    given = [word.partition("=")[2] for word in words if word.startswith("--preset=")]
-    given += [words[i + 1] for i, word in enumerate(words[:-1]) if word == "--preset"]
-    if given:
-        from sensors.simulation.options import PRESETS, SceneOptions
-
-        chosen = next((p.options for name, p in PRESETS.items() if name == given[-1]), None)
-        added = [*(words_of(SceneOptions(options=chosen)) if chosen else []), *added]
-    return [*words[:start], *added, *words[start:]]
-
-
-def _one_layout_each(words: list[str]) -> list[str]:
-    found: list[str] = []
-    after_layout = False
-    for word in words:
-        if after_layout and not word.startswith("-") and found[-1] != "--layout":
-            found.append("--layout")
-        after_layout = word == "--layout" or (after_layout and not word.startswith("-"))
-        found.append(word)
-    return found
-
-
 def _command(name: str, about: str) -> Command:
     return Command(
         name=name,
@@ -177,7 +141,7 @@ PROGRAM = Program(
         _command("stats", "categories, materials, and completeness and error of the raw depth"),
     ),
     default="run",
-    rewrite=_with_preset,
+    rewrite=with_preset,
 )
 
 if __name__ == "__main__":

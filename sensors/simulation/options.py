@@ -1,15 +1,14 @@
 """Options of a simulated set and the named presets; they import nothing heavy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError, check_options
-from std_toolkit.jobs.options import JobOptions
+from std_toolkit.cli.command_options import words_of
+from std_toolkit.errors import CheckedOptions, ToolkitError, check_options
+from std_toolkit.options import JobOptions
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
 
@@ -217,7 +216,7 @@ class AssetsCommand:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TurntableOptions:
+class TurntableOptions(CheckedOptions):
     """Photograph a mesh that stands on the printed board, path traced.
 
     Writes photos/, board.json and truth/ (cameras.json, mesh.ply, masks/) in the form that
@@ -264,5 +263,31 @@ class TurntableOptions:
     seed: int = 0
     """of light, hand and noise"""
 
-    def __post_init__(self) -> None:
-        check_options(self)
+
+def with_preset(words: list[str]) -> list[str]:
+    """The options of the requested preset, followed by the given ones.
+
+    Several layouts may follow one `--layout`.
+    """
+    words = _one_layout_each(words)
+    start = next((i for i, w in enumerate(words) if w not in ("--quiet", "--debug")), len(words))
+    command = "".join(words[start : start + 1])
+    start += command in ("run", "preview")
+    added = ["--views", "4"] if command == "preview" else []
+    given = [word.partition("=")[2] for word in words if word.startswith("--preset=")]
+    given += [words[i + 1] for i, word in enumerate(words[:-1]) if word == "--preset"]
+    if given:
+        chosen = next((p.options for name, p in PRESETS.items() if name == given[-1]), None)
+        added = [*(words_of(SceneOptions(options=chosen)) if chosen else []), *added]
+    return [*words[:start], *added, *words[start:]]
+
+
+def _one_layout_each(words: list[str]) -> list[str]:
+    found: list[str] = []
+    after_layout = False
+    for word in words:
+        if after_layout and not word.startswith("-") and found[-1] != "--layout":
+            found.append("--layout")
+        after_layout = word == "--layout" or (after_layout and not word.startswith("-"))
+        found.append(word)
+    return found

@@ -4,8 +4,6 @@ Every aspect has its own random generator, so that an option which changes the m
 shapes, sizes, poses and light unchanged: ablations differ only in the option that they change.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal, get_args
 

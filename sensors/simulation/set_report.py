@@ -3,8 +3,6 @@
 The contact sheet shows colour, infrared, raw depth, exact depth and error of a few frames.
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass

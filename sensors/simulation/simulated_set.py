@@ -1,7 +1,5 @@
 """A simulated data set on disk: many scenes, made in parallel, each complete or absent."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Sequence
@@ -22,8 +20,8 @@ from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.jobs.artefact import begin
-from std_toolkit.jobs.options import usable_cores
 from std_toolkit.log import logger
+from std_toolkit.options import usable_cores
 from std_toolkit.scene.document import Document
 
 LAYOUTS: tuple[Layout, ...] = ("dreds", "novel", "scene")

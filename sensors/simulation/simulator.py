@@ -1,7 +1,5 @@
 """From a scene's seed to its frames: light, exposure, the sensor's depth, exact maps."""
 
-from __future__ import annotations
-
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +20,7 @@ from sensors.simulation.equipment import DRESSED_AS, Equipment
 from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import draw_scene, dress_scene, generator
 from sensors.simulation.world_builder import World, build_world
+from std_toolkit.arrays import Floats
 from std_toolkit.geometry.se3 import SE3
 
 # Materials on which a depth camera does not measure the surface.
@@ -243,9 +242,7 @@ class Simulator:
             infrared_camera=camera,
         )
 
-    def _cut(
-        self, world: World, depth: NDArray[np.float32], mask: NDArray[np.uint8]
-    ) -> NDArray[np.float32]:
+    def _cut(self, world: World, depth: Floats, mask: NDArray[np.uint8]) -> Floats:
         """Exact depth without the objects that the sensor does not measure."""
         ids = [o.instance_id for o in world.record.objects if o.material_class in CUT_MATERIALS]
         return np.where(np.isin(mask, ids), np.float32(0), depth)

@@ -16,7 +16,6 @@ import cv2
 import msgspec
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from sensors.lighting.environment import read_environment
 from sensors.lighting.environment_sources import studio_map
@@ -27,6 +26,7 @@ from sensors.render.sim_scene import SceneObject, SimScene, SurfaceMesh, TruthCa
 from sensors.simulation import turntable_objects
 from sensors.simulation.options import TurntableOptions
 from sensors.viewpoints.views import look_at
+from std_toolkit.arrays import Floats
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.importers.foreign_files import write_mesh
@@ -282,9 +282,7 @@ class Turntable:
         )
 
 
-def _defocus(
-    radiance: NDArray[np.float32], depth: NDArray[np.float32], focus_m: float, opening_px: float
-) -> NDArray[np.float32]:
+def _defocus(radiance: Floats, depth: Floats, focus_m: float, opening_px: float) -> Floats:
     """Blur by the circle of confusion at every pixel's depth.
 
     Args:

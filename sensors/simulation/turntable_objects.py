@@ -1,7 +1,5 @@
 """What stands on a turntable: the mesh with its material, and the printed board below it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

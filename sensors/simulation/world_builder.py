@@ -3,8 +3,6 @@
 An asset's own look becomes one texture and one pair of coordinates per vertex.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Sensors are loaded by name, or from your own file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

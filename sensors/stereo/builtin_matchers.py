@@ -6,8 +6,6 @@
   equally likely, as on glass, the result is between them and on neither surface.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 from sensors.stereo.local_options import Backend, LocalMatcherOptions
 from sensors.stereo.stereo_matcher import Disparity, Image, check_pair
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.options import usable_cores
+from std_toolkit.options import usable_cores
 
 NONE = np.float32(-1)
 

@@ -1,13 +1,12 @@
 """Options of the local stereo matcher, and the window sums that both backends use."""
 
-from __future__ import annotations
-
 import enum
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 
 # A pixel's winner is stored as cost * DISPARITIES + disparity in 32 bits; see `winners`.
@@ -165,9 +164,7 @@ class LocalMatcherOptions:
             )
 
 
-def window_sums(
-    padded: NDArray[np.uint8], size: int
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def window_sums(padded: NDArray[np.uint8], size: int) -> tuple[NDArray[np.int32], Array]:
     """Sum of every window of size x size, and 1 / (pixels times standard deviation).
 
     Args:

@@ -3,8 +3,6 @@
 Includes compiled filters of a disparity map with holes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise

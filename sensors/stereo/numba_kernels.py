@@ -5,8 +5,6 @@ separate rows, so that threads can share an image. Costs are integers: their sum
 the order, so that the torch backend gives the same disparities.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sensors.stereo.local_options import DISPARITIES, ZNCC_STEPS

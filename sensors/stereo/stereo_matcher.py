@@ -1,7 +1,5 @@
 """The interface of stereo matchers, and the conversion of disparity to depth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Protocol
 

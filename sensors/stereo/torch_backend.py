@@ -3,8 +3,6 @@
 Includes the filters of a disparity map with holes, equal to those of `numba_backend`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from std_toolkit.cli.command import exit_status
-from std_toolkit.cli.interrupt import GRACE_S
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.interrupt import GRACE_S
 from std_toolkit.log import log_to_stderr
 
 if TYPE_CHECKING:

@@ -3,8 +3,6 @@
 The depth has noise, bias, holes, and failures on glass and metal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -12,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.synthetic.raycast_world import World
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.geometry import SE3, Camera
 
 BASELINE_M = 0.055
@@ -32,8 +31,8 @@ class FrameMaps:
     """
 
     color: NDArray[np.uint8]
-    depth: NDArray[np.float64]
-    behind: NDArray[np.float64]
+    depth: Array
+    behind: Array
     ids: NDArray[np.int64]
 
 
@@ -60,7 +59,7 @@ def render_frame(
     )
 
 
-def _needs_samples(ids: NDArray[np.int64], entity: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _needs_samples(ids: NDArray[np.int64], entity: NDArray[np.int64]) -> Mask:
     """Pixels at the border between two surfaces, where one ray would give a jagged edge."""
     surface = (entity + 1).astype(np.uint8)
     near = np.ones((3, 3), np.uint8)
@@ -71,11 +70,11 @@ def _needs_samples(ids: NDArray[np.int64], entity: NDArray[np.int64]) -> NDArray
 
 def _supersampled(
     world: World,
-    rays: NDArray[np.float64],
+    rays: Array,
     camera: Camera,
     T_world_cam: SE3,
     samples: int,
-) -> NDArray[np.float64]:
+) -> Array:
     """Mean radiance (N, 3) over samples x samples rays inside each pixel."""
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     total = np.zeros((len(rays), 3))
@@ -87,11 +86,11 @@ def _supersampled(
     return total / samples**2
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(vectors: Array) -> Array:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _develop(light: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint8]:
+def _develop(light: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Linear radiance to 8-bit colour, with the camera's noise."""
     encoded = np.clip(light, 0, 1) ** (1 / 2.2) + rng.normal(0, 0.008, light.shape)
     return np.clip(encoded * 255 + 0.5, 0, 255).astype(np.uint8)
@@ -105,7 +104,7 @@ def sensor_depth(
     fx: float,
     bias: float,
     rng: np.random.Generator,
-) -> NDArray[np.float32]:
+) -> Floats:
     """Simulated sensor depth (H, W) in metres, 0 = no measurement.
 
     Args:
@@ -131,21 +130,19 @@ def sensor_depth(
     return np.where(missing, 0, depth * bias).astype(np.float32)
 
 
-def _smooth_noise(
-    rng: np.random.Generator, shape: tuple[int, ...], sigma_px: float
-) -> NDArray[np.float64]:
+def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], sigma_px: float) -> Array:
     """Noise of unit variance that is smooth over about `sigma_px`."""
     noise = np.asarray(cv2.GaussianBlur(rng.normal(size=shape), (0, 0), sigma_px))
     return noise / noise.std()
 
 
-def _edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _edges(depth: NDArray[np.floating]) -> Mask:
     nearest = cv2.erode(depth.astype(np.float32), np.ones((5, 5)))
     farthest = cv2.dilate(depth.astype(np.float32), np.ones((5, 5)))
     return farthest - nearest > 0.03 * nearest
 
 
-def _half_occluded(depth: NDArray[np.floating], fx: float) -> NDArray[np.bool_]:
+def _half_occluded(depth: NDArray[np.floating], fx: float) -> Mask:
     """Pixels of the left image that the right one, 55 mm to the right, cannot see."""
     width = depth.shape[1]
     disparity = np.where(depth > 0, fx * BASELINE_M / np.where(depth > 0, depth, 1), 0)

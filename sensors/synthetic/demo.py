@@ -1,7 +1,5 @@
 """The demo: a simulated recording through the whole pipeline, with the user's commands."""
 
-from __future__ import annotations
-
 import importlib.util
 import shlex
 import subprocess

@@ -4,9 +4,7 @@
 cartons, prisms, vessels, flat dishes, mirrors without edges and objects with a handle.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -15,15 +13,20 @@ import trimesh
 
 from sensors.synthetic.shapes import TURN
 from sensors.synthetic.solids import (
+    about_x,
     circle,
     cuboid,
+    handle,
     joined,
     moved,
     of_size,
     prism,
     rounded_rectangle,
+    shell,
+    shoulder,
     tube,
     turned,
+    upright,
 )
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
@@ -31,7 +34,6 @@ from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.scene.model import Material
 
 Generator = np.random.Generator
-Profile = list[tuple[float, float]]
 
 Look = Literal["bare", "printed", "glass", "steel"]
 LOOKS: tuple[Look, ...] = get_args(Look)
@@ -109,14 +111,14 @@ def _hexagon(rng: Generator) -> trimesh.Trimesh:
 def _wedge(rng: Generator) -> trimesh.Trimesh:
     w, h, top = 0.1, 0.1 * rng.uniform(0.35, 0.7), 0.1 * rng.uniform(0.1, 0.4)
     lying = prism([(0, 0), (w, 0), (top, h), (0, h)], 0.1 * rng.uniform(0.5, 1.1))
-    return _raised(lying)
+    return upright(lying)
 
 
 def _mug(rng: Generator) -> trimesh.Trimesh:
     r, h, wall = 0.042, 0.042 * rng.uniform(1.7, 2.8), 0.004
     waist = r * rng.uniform(0.8, 1.0)
     cup = turned([(0, 0), (waist, 0), (r, h), (r - wall, h), (waist - wall, wall), (0, wall)])
-    return joined(cup, _ear(0.92 * r, 0.52 * h, r * rng.uniform(0.6, 0.9), 0.33 * h, 0.11 * r))
+    return joined(cup, handle(0.92 * r, 0.52 * h, r * rng.uniform(0.6, 0.9), 0.33 * h, 0.11 * r))
 
 
 def _bottle(rng: Generator) -> trimesh.Trimesh:
@@ -126,8 +128,8 @@ def _bottle(rng: Generator) -> trimesh.Trimesh:
         h * rng.uniform(0.45, 0.6),
         h * rng.uniform(0.7, 0.8),
     )
-    shoulder = _smooth((r, low), (neck, high))
-    return turned([(0, 0), (0.93 * r, 0), (r, 0.02 * h), *shoulder, (neck, h), (0, h)])
+    sides = shoulder((r, low), (neck, high))
+    return turned([(0, 0), (0.93 * r, 0), (r, 0.02 * h), *sides, (neck, h), (0, h)])
 
 
 def _tumbler(rng: Generator) -> trimesh.Trimesh:
@@ -137,7 +139,7 @@ def _tumbler(rng: Generator) -> trimesh.Trimesh:
 
 
 def _bowl(rng: Generator) -> trimesh.Trimesh:
-    return _shell(0.07, 0.07 * rng.uniform(0.55, 0.95), rng.uniform(0.3, 0.5))
+    return shell(0.07, 0.07 * rng.uniform(0.55, 0.95), rng.uniform(0.3, 0.5))
 
 
 def _petri_dish(rng: Generator) -> trimesh.Trimesh:
@@ -187,13 +189,13 @@ def _stick_pack(rng: Generator) -> trimesh.Trimesh:
 def _bracket(rng: Generator) -> trimesh.Trimesh:
     a, b, t = 0.1, 0.1 * rng.uniform(0.6, 1.1), 0.1 * rng.uniform(0.15, 0.35)
     lying = prism([(0, 0), (a, 0), (a, t), (t, t), (t, b), (0, b)], 0.1 * rng.uniform(0.3, 0.8))
-    return _raised(lying)
+    return upright(lying)
 
 
 def _house(rng: Generator) -> trimesh.Trimesh:
     w, h, roof = 0.07, 0.07 * rng.uniform(0.8, 1.6), 0.07 * rng.uniform(0.3, 0.7)
     lying = prism([(0, 0), (w, 0), (w, h), (w / 2, h + roof), (0, h)], 0.07 * rng.uniform(0.6, 1.4))
-    return _raised(lying)
+    return upright(lying)
 
 
 def _thermos(rng: Generator) -> trimesh.Trimesh:
@@ -231,7 +233,7 @@ def _pot(rng: Generator) -> trimesh.Trimesh:
     return joined(
         turned([(0, 0), *body, *knob]),
         tube(spout, r * (0.22 - 0.12 * s)),
-        _ear(0.8 * r, 0.48 * h, 0.85 * r, 0.28 * h, 0.09 * r),
+        handle(0.8 * r, 0.48 * h, 0.85 * r, 0.28 * h, 0.09 * r),
     )
 
 
@@ -283,7 +285,7 @@ def _square_bottle(rng: Generator) -> trimesh.Trimesh:
     r, h = 0.035, 0.035 * rng.uniform(3.6, 5.5)
     neck, low = r * rng.uniform(0.35, 0.5), h * rng.uniform(0.65, 0.76)
     body = turned(
-        [(0, 0), (0.96 * r, 0), (r, 0.004), *_smooth((r, low), (neck, 0.85 * h)), (0, 0.85 * h)],
+        [(0, 0), (0.96 * r, 0), (r, 0.004), *shoulder((r, low), (neck, 0.85 * h)), (0, 0.85 * h)],
         rounded_rectangle(rng.uniform(0.6, 0.9)),
     )
     narrow = 0.58 * neck
@@ -293,7 +295,7 @@ def _square_bottle(rng: Generator) -> trimesh.Trimesh:
 
 
 def _dish(rng: Generator) -> trimesh.Trimesh:
-    return _shell(0.08, 0.08 * rng.uniform(0.16, 0.32), rng.uniform(0.45, 0.7))
+    return shell(0.08, 0.08 * rng.uniform(0.16, 0.32), rng.uniform(0.45, 0.7))
 
 
 def _dome(rng: Generator) -> trimesh.Trimesh:
@@ -310,42 +312,7 @@ def _banana(rng: Generator) -> trimesh.Trimesh:
     path = np.stack([np.sin(bend * s), np.cos(bend * s), 0 * s], axis=1) * 0.1 / bend
     radii = thick * np.maximum(0.18, (1 - np.abs(s) ** 4) ** 0.5)
     bent = tube(path, 0.1 * radii, flatness=float(rng.uniform(0.85, 1.1)))
-    return _turned_about_x(bent, np.pi / 2)
-
-
-def _raised(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The x-z plane becomes the x-y plane: a prism stands on an edge of its polygon."""
-    return _turned_about_x(mesh, -np.pi / 2)
-
-
-def _turned_about_x(mesh: trimesh.Trimesh, angle: float) -> trimesh.Trimesh:
-    R = so3_exp([angle, 0, 0])
-    return trimesh.Trimesh(mesh.vertices @ R.T, mesh.faces, process=False)
-
-
-def _ear(x: float, y: float, out: float, up: float, thick: float) -> trimesh.Trimesh:
-    """A handle whose ends are inside of a wall at (x, y +- up)."""
-    angles = np.linspace(-np.pi / 2, np.pi / 2, 25)
-    path = np.stack([x + out * np.cos(angles), y + up * np.sin(angles), 0 * angles], axis=1)
-    return tube(path, np.full(25, thick), flatness=1.3)
-
-
-def _smooth(start: tuple[float, float], end: tuple[float, float]) -> Profile:
-    s = np.linspace(0, np.pi, 9)
-    w = 0.5 * (1 - np.cos(s))
-    return [
-        (start[0] + (end[0] - start[0]) * a, start[1] + (end[1] - start[1]) * b)
-        for a, b in zip(w, s / np.pi, strict=True)
-    ]
-
-
-def _shell(radius: float, height: float, foot: float) -> trimesh.Trimesh:
-    """A thin open shell that curves up from a flat foot of `foot` times the radius."""
-    wall = 0.003
-    a = np.linspace(0, np.pi / 2, 10)
-    outer = [(radius * (foot + (1 - foot) * np.sin(t)), height * (1 - np.cos(t))) for t in a]
-    inner = [(x - wall, max(y, wall) if y < height else height) for x, y in reversed(outer)]
-    return turned([(0, 0), *outer, *inner, (0, wall)])
+    return about_x(bent, np.pi / 2)
 
 
 _OPAQUE: tuple[Look, ...] = ("bare", "printed")
@@ -400,8 +367,3 @@ def kind_named(name: str) -> Kind:
     if name not in _BY_NAME:
         raise ToolkitError("no such kind", field="kind", value=name, hint=", ".join(_BY_NAME))
     return _BY_NAME[name]
-
-
-def names(kinds: Sequence[Kind]) -> tuple[str, ...]:
-    """Names of kinds, sorted."""
-    return tuple(sorted(kind.name for kind in kinds))

@@ -1,7 +1,5 @@
 """The synthetic table top for ray casting: geometry, albedo, light, reflection, refraction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 The camera moves along a hand-held arc around the table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial

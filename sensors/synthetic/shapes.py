@@ -1,7 +1,5 @@
 """The objects of the quick recording: meshes, and random printed textures wrapped around them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

@@ -5,18 +5,17 @@ The form on disk is that of the quick recordings (`sensors.synthetic.recording`)
 simulated infrared pair of a D415, aligned to colour: with holes and errors on glass and metal.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
+from sensors.assets import Asset
 from sensors.output.recording_writer import Truth, read_truth
 from sensors.simulation.options import QualityName
+from sensors.simulation.scene_draw import ObjectDraw
 from sensors.synthetic.recording import DEPTH_SCALE
 from sensors.synthetic.shapes import label_texture
 from std_toolkit import __version__
@@ -27,10 +26,6 @@ from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.artefact import begin
 from std_toolkit.scene.document import Document
 from std_toolkit.scene.model import Material
-
-if TYPE_CHECKING:
-    from sensors.assets import Asset
-    from sensors.simulation.scene_draw import ObjectDraw
 
 # Asset of the built-in library, diagonal in metres, class and material ("": the asset's own look):
 # four that a stereo sensor measures, a bottle of glass and a bowl of steel that it does not.

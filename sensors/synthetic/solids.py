@@ -4,17 +4,14 @@ Every surface is watertight. Parts that are joined overlap without being merged:
 closed, and cameras see the outermost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from sensors.synthetic.shapes import finely
-
-Array = NDArray[np.float64]
+from std_toolkit.arrays import Array
+from std_toolkit.geometry import so3_exp
 
 SECTIONS = 72
 # Edges of flat faces: interpolated normals round a corner over this length, as a carton has it.
@@ -104,6 +101,40 @@ def cuboid(width: float, height: float, depth: float) -> trimesh.Trimesh:
     """A finely divided box."""
     w, d = width / 2, depth / 2
     return prism([(-w, -d), (w, -d), (w, d), (-w, d)], height)
+
+
+def shell(radius: float, height: float, foot: float, wall: float = 0.003) -> trimesh.Trimesh:
+    """A thin open bowl that curves up from a flat foot of `foot` times the radius."""
+    a = np.linspace(0, np.pi / 2, 10)
+    outer = [(radius * (foot + (1 - foot) * np.sin(t)), height * (1 - np.cos(t))) for t in a]
+    inner = [(x - wall, max(y, wall) if y < height else height) for x, y in reversed(outer)]
+    return turned([(0, 0), *outer, *inner, (0, wall)])
+
+
+def handle(x: float, y: float, out: float, up: float, thick: float) -> trimesh.Trimesh:
+    """Half a ring whose ends are inside of a wall at (x, y +- up), metres."""
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 25)
+    path = np.stack([x + out * np.cos(angles), y + up * np.sin(angles), 0 * angles], axis=1)
+    return tube(path, np.full(25, thick), flatness=1.3)
+
+
+def shoulder(start: tuple[float, float], end: tuple[float, float]) -> list[tuple[float, float]]:
+    """The smooth part of a profile between two straight ones."""
+    s = np.linspace(0, 1, 9)
+    x = start[0] + (end[0] - start[0]) * 0.5 * (1 - np.cos(np.pi * s))
+    y = start[1] + (end[1] - start[1]) * s
+    return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
+
+
+def upright(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The x-z plane becomes the x-y plane: a prism stands on a side of its polygon."""
+    return about_x(mesh, -np.pi / 2)
+
+
+def about_x(mesh: trimesh.Trimesh, angle: float) -> trimesh.Trimesh:
+    """The mesh rotated about the x axis, radians."""
+    vertices = mesh.vertices @ so3_exp([angle, 0.0, 0.0]).T
+    return trimesh.Trimesh(vertices, mesh.faces, process=False)
 
 
 def loft(rings: Array, first: Array, last: Array) -> trimesh.Trimesh:

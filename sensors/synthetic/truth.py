@@ -4,8 +4,6 @@ First-frame poses have the error of a human annotator. The labelled scene has ex
 labels, for tests of single steps.
 """
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from pathlib import Path

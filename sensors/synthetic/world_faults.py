@@ -5,8 +5,6 @@ for fault in label_faults(scene, object_id, seed=7):
     fault.name, fault.kind, fault.size, fault.mssd_m
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -20,6 +18,8 @@ from std_toolkit.geometry.mesh import hull_vertices
 from std_toolkit.scene import Scene
 
 FaultKind = Literal["sideways", "along", "up", "turn", "tilt", "half", "quarter", "over"]
+SHIFTS: tuple[FaultKind, ...] = ("sideways", "along", "up")
+ROTATIONS: tuple[FaultKind, ...] = ("turn", "tilt")
 
 MM, DEG = (4.0, 8.0, 12.0), (3.0, 5.0, 8.0)
 # A displacement that symmetry undoes up to this is no fault.
@@ -76,25 +76,25 @@ def label_faults(
     """
     rng = np.random.default_rng([seed, object_id])
     positions = [scene.T_world_cam(f.id).t for f in scene.registered_frames()]  # type: ignore[union-attr]
-    view = object_centre(scene, object_id) - np.mean(positions, axis=0)
-    view = tuple(float(x) for x in view / np.linalg.norm(view))
+    along = object_centre(scene, object_id) - np.mean(positions, axis=0)
+    x, y, z = (float(v) for v in along / np.linalg.norm(along))
     hull = hull_vertices(scene.mesh(scene.objects.object(object_id).model))
     symmetry = scene.objects.model_of(object_id).symmetry.symmetry()
     right = scene.T_world_obj(object_id)
     assert right is not None
     trials: list[tuple[FaultKind, float, int]] = []
     for level, (distance, angle) in enumerate(zip(mm, degrees, strict=True)):
-        trials += [(k, distance, level) for k in ("sideways", "along", "up")]  # type: ignore[misc]
-        trials += [(k, angle, level) for k in ("turn", "tilt")]  # type: ignore[misc]
+        trials += [(kind, distance, level) for kind in SHIFTS]
+        trials += [(kind, angle, level) for kind in ROTATIONS]
     trials += [("half", 180.0, 3), ("quarter", 90.0, 3), ("over", 180.0, 3)]
     for kind, size, level in trials:
         signed = size * float(rng.choice([-1, 1]))
-        fault = _fault(kind, signed, object_id, view)
+        fault = _fault(kind, signed, object_id, (x, y, z))
         wrong = apply_fault(scene, fault).T_world_obj(object_id)
         assert wrong is not None
-        distance = mssd(wrong, right, hull, symmetry, steps=90)
-        if distance > NO_FAULT_M:
-            yield LabelFault(kind, signed, level, distance, fault)
+        moved = mssd(wrong, right, hull, symmetry, steps=90)
+        if moved > NO_FAULT_M:
+            yield LabelFault(kind, signed, level, moved, fault)
 
 
 def _fault(kind: FaultKind, size: float, object_id: int, view: tuple[float, float, float]) -> Fault:

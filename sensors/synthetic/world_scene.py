@@ -16,8 +16,6 @@ depends on what was drawn and on the source of this package. They are not to be 
 first.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
@@ -32,9 +30,8 @@ from typing import Literal, get_args
 import msgspec
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
-from sensors.synthetic.kinds import JUDGING, MATERIAL_OF, Kind, Look, kind_named, names
+from sensors.synthetic.kinds import JUDGING, MATERIAL_OF, Kind, Look, kind_named
 from sensors.synthetic.recording import (
     UPRIGHT,
     Placed,
@@ -44,6 +41,7 @@ from sensors.synthetic.recording import (
 from sensors.synthetic.shapes import Shape
 from sensors.synthetic.solids import deformed
 from sensors.synthetic.truth import scene_from_truth
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -211,7 +209,7 @@ def draw_world(
     noisy, other = bool(rng.random() < 0.5), bool(rng.random() < 0.6)
     return World(
         seed=seed,
-        kinds=names(kinds),
+        kinds=tuple(sorted(kind.name for kind in kinds)),
         frames=frames,
         width=width,
         height=height,
@@ -316,7 +314,7 @@ def _placed(world: World) -> tuple[Placed, ...]:
     )
 
 
-def _resting(kind: Kind, rng: Generator) -> NDArray[np.float64]:
+def _resting(kind: Kind, rng: Generator) -> Array:
     """Rotation of an object that stands, or lies on one of four sides."""
     turn = so3_exp([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
     side = so3_exp([0.0, np.pi / 2 * rng.integers(4), 0.0])
@@ -324,9 +322,9 @@ def _resting(kind: Kind, rng: Generator) -> NDArray[np.float64]:
     return turn @ (side if lies else UPRIGHT)
 
 
-def _spread(radii: Sequence[float], rng: Generator) -> list[NDArray[np.float64]]:
+def _spread(radii: Sequence[float], rng: Generator) -> list[Array]:
     """Places (x, y) of circles that keep apart, as close together as clutter."""
-    placed: dict[int, NDArray[np.float64]] = {}
+    placed: dict[int, Array] = {}
     for i in sorted(range(len(radii)), key=lambda k: -radii[k]):
         reach = 0.03
         while True:

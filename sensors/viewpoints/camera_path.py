@@ -1,18 +1,15 @@
 """Smooth paths of a hand-held camera around a table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensors.viewpoints.views import look_at
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, so3_exp
 
-Array = NDArray[np.float64]
 Kind = Literal["arc", "spiral"]
 KINDS: tuple[Kind, ...] = ("arc", "spiral")
 _STREAM = 0x7124

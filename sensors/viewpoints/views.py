@@ -1,7 +1,5 @@
 """Single views: a camera that looks at a point, and random viewpoints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -7,8 +7,6 @@ Exit status of every program: 0 done, 1 failed or a gate failed, 2 wrong usage, 
 (SIGINT), 143 terminated (SIGTERM).
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import logging
@@ -19,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
-from std_toolkit.cli.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
+from std_toolkit.jobs.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.log import log_to_stderr
 
 WRONG_USAGE = 2

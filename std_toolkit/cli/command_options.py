@@ -20,8 +20,6 @@ The metadata of a field (for a Struct the `extra` of a `msgspec.Meta`) changes t
 - `{"size": True}` reads two whole numbers as `1280x720`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import dataclasses

@@ -1,29 +1,27 @@
 """Commands of `std-curate` from labelling on: label, propagate, render, check, export, run."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 from std_toolkit import options
-from std_toolkit.cli.recording import PosesCommand, asked, print_json, recover_poses
+from std_toolkit.cli.command import print_json
+from std_toolkit.cli.recording import asked, recover_poses
+from std_toolkit.commands import (
+    CheckCommand,
+    ExportCommand,
+    LabelArguments,
+    PosesCommand,
+    PropagateCommand,
+    RenderCommand,
+    RunCommand,
+)
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.options import JobOptions
 
 # Failures of these steps end the run, because later steps need their results. A frame that could
 # not be rendered does not end it: the check reports missing frames.
 ENDS_THE_RUN = ("poses", "propagate")
-
-
-@dataclass(frozen=True, kw_only=True)
-class LabelArguments(options.LabelCommand):
-    __doc__ = options.LabelCommand.__doc__
-
-    scene: Path
-    """scene folder"""
 
 
 def label(command: LabelArguments) -> int:
@@ -51,15 +49,6 @@ def label(command: LabelArguments) -> int:
     return 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class PropagateCommand:
-    """Compute one world pose for each labelled object, and from it the pose in every frame."""
-
-    scene: Path
-    """scene folder"""
-    options: options.PropagateOptions = field(default_factory=options.PropagateOptions)
-
-
 def propagate(command: PropagateCommand) -> int:
     """Propagate labels; 1 if an object has no pose."""
     from std_toolkit.labels.propagate import label_lines, propagate_labels
@@ -71,23 +60,6 @@ def propagate(command: PropagateCommand) -> int:
     chosen = {scene.objects.object_named(n).id for n in command.options.objects or ()}
     placed = {x.object: x.T_world_obj is not None for x in labels.labels}
     return 0 if all(placed[x] for x in chosen or placed) else 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderCommand:
-    """Render ground truth for every labelled frame into SCENE/gt.
-
-    Writes z-depth, instance mask, NOCS map and surface normals per frame, and the visible fraction
-    and bounding boxes per object. Frames that are complete and whose inputs did not change are
-    kept.
-    """
-
-    scene: Path
-    """scene folder"""
-    options: options.RenderOptions = field(default_factory=options.RenderOptions)
-    frames: tuple[str, ...] | None = None
-    """file names, names or ids of the frames to render (default: all labelled frames)"""
-    jobs: JobOptions = field(default_factory=JobOptions)
 
 
 def render(command: RenderCommand) -> int:
@@ -110,22 +82,6 @@ def render(command: RenderCommand) -> int:
         f"{len(report.failed)} failed; in {scene.root / 'gt'}"
     )
     return 1 if report.failed else 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckCommand:
-    """Compare the labels of a scene with its images and depth.
-
-    Writes check/report.html, report.json, report.csv and frames.csv. Exit status 1 if a gate
-    fails.
-    """
-
-    scene: Path
-    """scene folder"""
-    options: options.CheckOptions = field(default_factory=options.CheckOptions)
-    json: bool = False
-    """print the report as JSON"""
-    jobs: JobOptions = field(default_factory=JobOptions)
 
 
 def check(command: CheckCommand) -> int:
@@ -158,24 +114,6 @@ def check(command: CheckCommand) -> int:
     return 0 if report.passed else 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportCommand:
-    """Write every frame with ground truth in the layout of STD, BOP or NOCS.
-
-    The file std_toolkit.json holds what the layout cannot: camera poses, intrinsics, object poses
-    and the source of the metric scale.
-    """
-
-    scene: Path
-    """scene folder"""
-    format: str = field(metadata={"option": "format"})
-    """std, bop, nocs or a plug-in"""
-    out: Path = field(metadata={"option": "out"})
-    """new output folder"""
-    options: options.ExportOptions = field(default_factory=options.ExportOptions)
-    jobs: JobOptions = field(default_factory=JobOptions)
-
-
 def export(command: ExportCommand) -> int:
     """Export the scene."""
     from std_toolkit.exporters.export_step import export_scene
@@ -200,25 +138,6 @@ def export(command: ExportCommand) -> int:
     if faulty := sum(bool(f.fault or any(o.fault for o in f.objects)) for f in sidecar.frames):
         print(f"{faulty} exported frames have a fault that the check found (field fault)")
     return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunCommand:
-    """Run poses, propagate --refine, render and check on a scene with labelled objects.
-
-    Completed steps and frames are kept, outdated ones are repeated. Run the command again after an
-    interruption. Imported camera poses are kept.
-    """
-
-    scene: Path
-    """scene folder"""
-    refine: bool = True
-    """refinement: propagate the annotated poses unchanged"""
-    refine_scale: bool = False
-    """correct the scale of the camera poses from the known sizes of the objects"""
-    poses: options.PoseBasics = field(default_factory=options.PoseBasics)
-    render: options.RenderBasics = field(default_factory=options.RenderBasics)
-    jobs: JobOptions = field(default_factory=JobOptions)
 
 
 def run(command: RunCommand) -> int:

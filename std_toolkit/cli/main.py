@@ -1,7 +1,5 @@
 """Entry point of `std-curate`: the table of its commands."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 
@@ -27,9 +25,10 @@ def with_link_mode(words: list[str]) -> list[str]:
     return [*words[:place], "hard", *words[place:]]
 
 
-def _command(name: str, about: str, place: str, options: str, run: str) -> Command:
-    module = f"std_toolkit.cli.{place}"
-    return Command(name=name, about=about, options=f"{module}:{options}", run=f"{module}:{run}")
+def _command(name: str, about: str, run: str, options: str = "") -> Command:
+    options = options or f"{name.capitalize()}Command"
+    run = f"std_toolkit.cli.{run}"
+    return Command(name=name, about=about, options=f"std_toolkit.commands:{options}", run=run)
 
 
 PROGRAM = Program(
@@ -37,59 +36,49 @@ PROGRAM = Program(
     about="Curate an RGB-D recording of specular, transparent and diffuse objects: camera poses\n"
     "in metres, 6D labels, ground truth, checks, export.",
     commands=(
-        _command(
-            "import", "make a scene from a recording", "recording", "ImportCommand", "import_scene"
-        ),
-        _command(
-            "info", "print the contents of a scene and the next step", "recording", "InfoCommand",
-            "print_info",
-        ),
-        _command(
-            "poses", "recover camera poses in metres", "recording", "PosesCommand", "recover_poses"
-        ),
+        _command("import", "make a scene from a recording", "recording:import_scene"),
+        _command("info", "print the contents of a scene and the next step", "recording:print_info"),
+        _command("poses", "recover camera poses in metres", "recording:recover_poses"),
         _command(
             "trajectory",
             "write the camera poses as CSV, TUM, COLMAP or NeRF files",
-            "recording",
-            "TrajectoryCommand",
-            "write_path",
+            "recording:write_path",
         ),
         _command(
-            "label", "set or import an object's pose in a frame", "labelling", "LabelArguments",
             "label",
+            "set or import an object's pose in a frame",
+            "labelling:label",
+            "LabelArguments",
         ),
         _command(
-            "propagate", "propagate annotated poses to every registered frame", "labelling",
-            "PropagateCommand", "propagate",
+            "propagate",
+            "propagate annotated poses to every registered frame",
+            "labelling:propagate",
         ),
         _command(
-            "render", "render depth, masks, NOCS and normals of the labelled objects", "labelling",
-            "RenderCommand", "render",
+            "render",
+            "render depth, masks, NOCS and normals of the labelled objects",
+            "labelling:render",
         ),
         _command(
-            "check", "measure the labels, test gates, write an HTML report", "labelling",
-            "CheckCommand", "check",
+            "check", "measure the labels, test gates, write an HTML report", "labelling:check"
         ),
         _command(
-            "export", "write a labelled scene in the layout of STD, BOP or NOCS", "labelling",
-            "ExportCommand", "export",
+            "export", "write a labelled scene in the layout of STD, BOP or NOCS", "labelling:export"
+        ),
+        _command("run", "run poses, propagate --refine, render and check", "labelling:run"),
+        _command(
+            "schema", "print or write the JSON Schema of the documents", "recording:print_schema"
         ),
         _command(
-            "run", "run poses, propagate --refine, render and check", "labelling",
-            "RunCommand", "run",
-        ),
-        _command(
-            "schema", "print or write the JSON Schema of the documents", "recording",
-            "SchemaCommand", "print_schema",
-        ),
-        _command(
-            "settings", "print the limits that decide what is accepted, as TOML", "recording",
-            "SettingsCommand", "print_settings",
+            "settings",
+            "print the limits that decide what is accepted, as TOML",
+            "recording:print_settings",
         ),
     ),
     rewrite=with_link_mode,
     on_interrupt="run the same command again to resume",
-)  # fmt: skip
+)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -46,50 +47,16 @@ def _load(name: str) -> Program:
     return program
 
 
-def annotate() -> int:
-    """`std-annotate`."""
-    return run("std-annotate")
-
-
-def bench() -> int:
-    """`std-bench`."""
-    return run("std-bench")
-
-
-def curate() -> int:
-    """`std-curate`."""
-    return run("std-curate")
-
-
-def record() -> int:
-    """`std-record`."""
-    return run("std-record")
-
-
-def report() -> int:
-    """`std-report`."""
-    return run("std-report")
-
-
-def restore() -> int:
-    """`std-restore`."""
-    return run("std-restore")
-
-
-def scan() -> int:
-    """`std-scan`."""
-    return run("std-scan")
-
-
-def simulate() -> int:
-    """`std-sim`."""
-    return run("std-sim")
-
-
-def train() -> int:
-    """`std-train`."""
-    return run("std-train")
-
+# Entry points of the distribution.
+annotate = partial(run, "std-annotate")
+bench = partial(run, "std-bench")
+curate = partial(run, "std-curate")
+record = partial(run, "std-record")
+report = partial(run, "std-report")
+restore = partial(run, "std-restore")
+scan = partial(run, "std-scan")
+simulate = partial(run, "std-sim")
+train = partial(run, "std-train")
 
 if __name__ == "__main__":
     sys.exit(_load(sys.argv[1]).main(sys.argv[2:], is_process=True))

@@ -4,27 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from std_toolkit.cli.command import Command, Program
 from std_toolkit.cli.command_options import UsageError
 
 if TYPE_CHECKING:
-    from std_toolkit.scanning.options import ScanOptions
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoardCommand:
-    """Make the board that the object stands on: a PDF to print at 100 %, and its description."""
-
-    out: Path = field(metadata={"option": "out"})
-    """PDF file; the description has the same name with the suffix .json"""
-    paper: Literal["a4", "a3"] = "a4"
-    """size of the sheet"""
-    first_id: int = 0
-    """id of the first tag; boards that are used side by side need different ids"""
+    from std_toolkit.scanning.options import BoardCommand, ScanOptions
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -86,7 +73,8 @@ def with_command(words: list[str]) -> list[str]:
 
 
 def _command(name: str, about: str, options: str, run: str) -> Command:
-    return Command(name=name, about=about, options=options, run=f"{__name__}:{run}")
+    options = f"std_toolkit.scanning.options:{options}"
+    return Command(name=name, about=about, options=options, run=f"std_toolkit.cli.scanning:{run}")
 
 
 PROGRAM = Program(
@@ -94,14 +82,16 @@ PROGRAM = Program(
     about="Make a metric, watertight, textured CAD model of an object from photos.",
     commands=(
         _command(
-            "photos", "make the model from photos of the object on the board (default)",
-            "std_toolkit.scanning.options:ScanOptions", "run_scan",
+            "photos",
+            "make the model from photos of the object on the board (default)",
+            "ScanOptions",
+            "run_scan",
         ),
-        _command("board", "make the board to print", f"{__name__}:BoardCommand", "make_board"),
+        _command("board", "make the board to print", "BoardCommand", "make_board"),
     ),
     default="photos",
     rewrite=with_command,
-)  # fmt: skip
+)
 
 
 if __name__ == "__main__":

@@ -6,14 +6,13 @@ with pixel centres at integers, consistent with K and the back-projection of dep
 bop_toolkit puts pixel centres at +0.5 with the same K.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Mask
 from std_toolkit.exporters import bop_metadata, exporter, mesh_export
 from std_toolkit.exporters.frame_maps import (
     color_camera,
@@ -201,9 +200,7 @@ class BopExporter:
         return list(documents)
 
 
-def model_info(
-    mesh_mm: Any, symmetry: SymmetryModel, centre: NDArray[np.float64]
-) -> dict[str, Any]:
+def model_info(mesh_mm: Any, symmetry: SymmetryModel, centre: Array) -> dict[str, Any]:
     """A model's entry in models_info.json: millimetres, symmetries in the centred frame."""
     low, high = mesh_bounds(mesh_mm)
     size = high - low
@@ -274,9 +271,7 @@ def depth_units(scene: Scene, frame: Frame) -> DepthUnits | None:
     return DepthUnits(units.astype(np.uint16), scale)
 
 
-def _coco_row(
-    number: int, row: ObjectTruth, amodal: NDArray[np.bool_], visible: NDArray[np.bool_]
-) -> dict[str, Any] | None:
+def _coco_row(number: int, row: ObjectTruth, amodal: Mask, visible: Mask) -> dict[str, Any] | None:
     box = mask_box(amodal)
     if row.px_visible == 0 or box is None:
         return None
@@ -293,7 +288,7 @@ def _coco_row(
     }
 
 
-def run_lengths(mask: NDArray[np.bool_]) -> dict[str, list[int]]:
+def run_lengths(mask: Mask) -> dict[str, list[int]]:
     """COCO's uncompressed run lengths: column by column, zeros first."""
     flat = mask.ravel(order="F")
     changes = np.flatnonzero(flat[1:] != flat[:-1]) + 1
@@ -304,7 +299,7 @@ def run_lengths(mask: NDArray[np.bool_]) -> dict[str, list[int]]:
     return {"counts": counts, "size": [int(n) for n in mask.shape]}
 
 
-def _centred(T: list[float], centre: NDArray[np.float64]) -> list[float]:
+def _centred(T: list[float], centre: Array) -> list[float]:
     """A symmetry of the scene's mesh frame (m) in the centred frame (mm)."""
     S = SE3.from_matrix(T)
     moved = SE3(S.R, MM * (S @ centre - centre))

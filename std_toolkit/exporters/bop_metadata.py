@@ -1,7 +1,5 @@
 """The documents of a BOP data set."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

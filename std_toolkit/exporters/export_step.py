@@ -1,7 +1,5 @@
 """The export step: writes a scene in one layout, frame by frame, completely or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, partial

@@ -1,28 +1,23 @@
 """Protocol of exporters, which write a scene in one layout, and the frame row they share."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import msgspec
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.options import ExportOptions
 from std_toolkit.plugins import Registry, configured, setting_of
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene.check_flags import CheckFlags
 from std_toolkit.scene.model import Frame
+from std_toolkit.scene.scene import Scene
 from std_toolkit.scene.sidecar import ExportedFrame, ExportedModel, ExportedObject
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.scene.scene import Scene
-
 
 FAULTS_NAME = "label_faults.json"
 

@@ -7,8 +7,6 @@ is rendered again: resampling the maps would shift depth and NOCS by up to half 
 "fused") is then copied from the ground truth, to its pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -17,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.undistortion import undistort_image
+from std_toolkit.geometry.camera import Camera, undistort_image
 from std_toolkit.rendering import choose, ground_truth, maps, placements
 from std_toolkit.rendering.renderer import image_window
 from std_toolkit.scene import Frame, Scene

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.io.atomic import write_bytes_atomic
 
 if TYPE_CHECKING:
     import trimesh
 
 
-def transformed(
-    mesh: trimesh.Trimesh, *, centre: NDArray[np.float64], factor: float
-) -> trimesh.Trimesh:
+def transformed(mesh: trimesh.Trimesh, *, centre: Array, factor: float) -> trimesh.Trimesh:
     """A copy with vertices `(v - centre) * factor` and the same texture and colours."""
     copy = mesh.copy()
     normals = np.array(mesh.vertex_normals)

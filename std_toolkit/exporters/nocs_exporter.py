@@ -6,8 +6,6 @@ flipped) and `NNNN_meta.txt` with `id class model` lines; line i describes id i;
 holds its three extents, whose norm is its scale.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from std_toolkit.errors import ToolkitError

@@ -5,8 +5,6 @@ leaves `.NAME.partial`, and the next run of the same export resumes there. A loc
 active staging area from an abandoned one.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

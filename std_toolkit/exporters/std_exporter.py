@@ -4,8 +4,6 @@ Loaders pair files by position in sorted lists per suffix, so every frame has ev
 take channel 0 of depth EXRs, 255 as the mask's background, and flip the third NOCS channel.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,10 +5,10 @@ SI units; OpenCV camera frame (x right, y down, z forward); pixel centres at int
 """
 
 from std_toolkit.geometry.alignment import Similarity, ransac_similarity, umeyama
-from std_toolkit.geometry.camera import Camera, unproject_depth
+from std_toolkit.geometry.camera import Camera, undistort_image
+from std_toolkit.geometry.depth_maps import unproject_depth
 from std_toolkit.geometry.se3 import SE3, rotation_angle, so3_exp, so3_log
 from std_toolkit.geometry.symmetry import Symmetry, mssd, rotation_error, translation_error
-from std_toolkit.geometry.undistortion import undistort_image
 
 __all__ = [
     "SE3",

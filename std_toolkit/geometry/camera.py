@@ -1,9 +1,13 @@
-"""Cameras and z-depth maps. Pixel centres are at integers; depth is in metres, 0 = no measurement.
+"""Cameras, and images without their distortion. Pixel centres are at integers.
 
 `Camera` projects points, unprojects pixels and makes rays, with a lens of `camera_models`. Others
 take fx, fy, cx and cy of a pinhole for a reason: compiled loops (alignment of depth, silhouettes,
 patch match), torch (`benchmark.methods.torch_camera`), renderers, derivatives, and steps of
 optimisers that clamp the depth (`labels.propagate`). BOP's FISHEYE624 is scored beyond 90 degrees.
+
+Lenses that scenes do not keep (fisheye) are undistorted on import and before restoring, by
+`Undistortion`. A lens of OpenCV's model stays as it is unless a field of view is asked for. The
+images are then as a pinhole at the same place records them; z-depth does not change.
 """
 
 from __future__ import annotations
@@ -11,7 +15,6 @@ from __future__ import annotations
 import operator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -25,16 +28,6 @@ Array = NDArray[np.float64]
 # Smallest distance of the principal point from an edge, as a fraction of the image size, for
 # cropped images. In whole images it is within a few percent of the centre; importers check that.
 NEAREST_TO_EDGE = 0.27
-
-# Relative to the depth: a table seen at 15 degrees changes by less from pixel to pixel.
-LARGEST_DEPTH_STEP = 0.03
-
-
-# Plausible range of depth for a camera in front of a table or in a room.
-SMALLEST_MEDIAN_DEPTH_M = 0.03
-
-
-LARGEST_MEDIAN_DEPTH_M = 30.0
 
 
 @dataclass(frozen=True)
@@ -220,54 +213,126 @@ def pixel_rays(camera: Camera) -> Array:
     return rays
 
 
-def unproject_depth(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
-    """Camera-frame points (H, W, 3) in metres of every pixel; (0, 0, 0) where depth is 0.
+# A position that is outside every image, also for interpolation.
+_NOWHERE = -10.0
 
-    Raises:
-        ToolkitError: the map has another size than the camera.
+
+@dataclass(frozen=True)
+class Undistortion:
+    """From images of a lens to those of a pinhole of the same size, centre and axes.
+
+    Attributes:
+        recorded: camera of the recorded images.
+        camera: the pinhole.
     """
-    _check_size(depth, camera)
-    return pixel_rays(camera) * np.asarray(depth, dtype=np.float64)[..., None]
+
+    recorded: Camera
+    camera: Camera
+
+    @staticmethod
+    def of(camera: Camera, fov_deg: float | None = None) -> Undistortion | None:
+        """The undistortion that images of a camera need; None if they stay as they are.
+
+        Args:
+            camera: of the recorded images.
+            fov_deg: horizontal field of view of the pinhole. None undistorts only lenses that
+                scenes do not keep, with the lens's K, which keeps the resolution at the centre.
+
+        Raises:
+            ToolkitError: a field of view for images without distortion, or of no pinhole camera.
+        """
+        if fov_deg is None:
+            needed = not camera.lens.in_scenes
+            return Undistortion(camera, camera.without_distortion()) if needed else None
+        field = "--undistort-fov"
+        if not camera.is_distorted:
+            raise ToolkitError(
+                "the images have no lens distortion",
+                field=field,
+                value=fov_deg,
+                hint="leave it out",
+            )
+        f = camera.width / 2 / np.tan(np.deg2rad(fov_deg) / 2) if 0 < fov_deg < 180 else 0.0
+        try:
+            target = replace(
+                camera.without_distortion(), fx=float(f), fy=float(f * camera.fy / camera.fx)
+            )
+        except ToolkitError as error:
+            raise ToolkitError(
+                "no pinhole camera has this horizontal field of view, degrees",
+                field=field,
+                value=fov_deg,
+                hint="between 3 and 136; at most about 110 keeps the corners usable",
+            ) from error
+        return Undistortion(camera, target)
+
+    def image(
+        self, image: NDArray[np.generic], *, interpolation: int = cv2.INTER_LINEAR
+    ) -> NDArray[np.generic]:
+        """The image (H, W[, C]) undistorted; 0 where the lens sees nothing.
+
+        Use `cv2.INTER_NEAREST` for depth and masks, whose values must not be interpolated.
+
+        Raises:
+            ToolkitError: the image has another size than the camera.
+        """
+        if image.shape[:2] != (self.recorded.height, self.recorded.width):
+            raise ToolkitError(
+                f"image size differs from the camera's {self.recorded.width}x"
+                f"{self.recorded.height}",
+                value=image.shape[:2],
+            )
+        if image.dtype == bool:
+            return self.image(image.astype(np.uint8), interpolation=interpolation).astype(bool)
+        maps = _undistortion_maps(self)
+        return cv2.remap(image, *maps, interpolation=interpolation)  # type: ignore[arg-type]
+
+    def depth(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """A depth map (H, W), each pixel that of the nearest recorded one: z-depth is kept."""
+        if values.dtype == np.float16:  # which OpenCV does not resample
+            values = values.astype(np.float32)
+        return self.image(values, interpolation=cv2.INTER_NEAREST)
+
+    def __str__(self) -> str:
+        """What is done to the images, one sentence."""
+        c = self.camera
+        across, down = (
+            2 * np.rad2deg(np.arctan(n / 2 / f)) for n, f in ((c.width, c.fx), (c.height, c.fy))
+        )
+        u, v = _undistortion_maps(self)
+        w, h = self.recorded.size
+        inside = (u >= -0.5) & (u <= w - 0.5) & (v >= -0.5) & (v <= h - 0.5)
+        kept = "same focal length" if c.K[0, 0] == self.recorded.fx else f"fx {c.fx:.2f}"
+        empty = 1 - float(inside.mean())
+        text = f"{self.recorded.model} lens undistorted to a pinhole of {across:.1f} x {down:.1f} "
+        text += f"degrees ({kept}); change it with --undistort-fov"
+        return text + (f"; {empty:.1%} of its pixels are empty" if empty > 0.0005 else "")
 
 
-def z_to_distance(depth: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
-    """Distance from the camera centre (H, W), metres, of a z-depth map. 0 stays 0.
+def undistort_image(
+    image: NDArray[np.generic], camera: Camera, *, interpolation: int = cv2.INTER_LINEAR
+) -> NDArray[np.generic]:
+    """The image (H, W[, C]) undistorted, as `camera.without_distortion()` would record it.
 
-    Raises:
-        ToolkitError: the map has another size than the camera.
+    See `Undistortion.image`.
     """
-    _check_size(depth, camera)
-    return np.asarray(depth, dtype=np.float64) * np.linalg.norm(pixel_rays(camera), axis=-1)
+    undistortion = Undistortion(camera, camera.without_distortion())
+    if not camera.is_distorted and image.shape[:2] == (camera.height, camera.width):
+        return image.copy()
+    return undistortion.image(image, interpolation=interpolation)
 
 
-def on_depth_step(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Pixels (H, W) at a depth discontinuity, where sensors report flying pixels."""
-    measured = np.asarray(depth, dtype=np.float32)
-    far = cv2.dilate(measured, np.ones((3, 3), np.uint8))
-    filled = np.where(measured > 0, measured, np.float32(np.inf))
-    near = cv2.erode(filled, np.ones((3, 3), np.uint8))
-    return np.asarray((measured > 0) & (far - near > LARGEST_DEPTH_STEP * measured))
-
-
-def _check_size(depth: NDArray[np.floating], camera: Camera) -> None:
-    if np.shape(depth) != (camera.height, camera.width):
-        raise ToolkitError(
-            f"the size of the depth map is not that of the camera, {camera.width}x{camera.height}",
-            value=np.shape(depth)[::-1],
-        )
-
-
-def check_depth_unit(path: Path, depth: NDArray[np.float32], scale: float | None) -> None:
-    # The median is robust: sensors report single pixels at 60 m, where no table-top scene is.
-    measured = depth[::4, ::4]
-    measured = measured[measured > 0]
-    if len(measured) < 100:
-        return
-    middle = float(np.median(measured))
-    if not SMALLEST_MEDIAN_DEPTH_M <= middle <= LARGEST_MEDIAN_DEPTH_M:
-        raise ToolkitError(
-            "the median depth is implausible in metres",
-            path=path,
-            value=f"{middle:.4g} m",
-            hint=f"is the unit right? depth_scale in scene.json is {scale}",
-        )
+@lru_cache(maxsize=4)
+def _undistortion_maps(which: Undistortion) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The source position (H, W) of each pixel; cached: computing takes longer than a remap."""
+    recorded, target = which.recorded, which.camera
+    if recorded.model == "opencv" and recorded.K.tolist() == target.K.tolist():
+        # cv2.undistort keeps K and, like this module, puts pixel centres at integers.
+        return cv2.initUndistortRectifyMap(  # type: ignore[return-value]
+            recorded.K, np.array(recorded.distortion), np.eye(3), target.K, target.size,
+            cv2.CV_32FC1,
+        )  # fmt: skip
+    uv: Array = np.nan_to_num(recorded.project(target.rays()), nan=_NOWHERE)
+    # OpenCV's positions are limited.
+    uv = np.clip(uv, _NOWHERE, np.array(recorded.size) - _NOWHERE)
+    return uv[..., 0].astype(np.float32), uv[..., 1].astype(np.float32)

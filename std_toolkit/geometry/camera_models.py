@@ -15,8 +15,6 @@ Import, restoring, scanning and the COLMAP interface then use it. With `in_scene
 are undistorted to a pinhole before they become part of a scene.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,17 +1,13 @@
 """Colours on a surface: the part of its symmetries that they keep."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry.se3 import SE3, rotation_angle
 from std_toolkit.geometry.symmetry import Symmetry, closed_group
 from std_toolkit.geometry.turned_surface import SAME_AXIS
-
-Array = NDArray[np.float64]
 
 # Orders of axes that are looked for, and angles about an axis that no regular polygon of few
 # corners repeats after.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.camera_models import MODELS, Pinhole
 
@@ -59,12 +59,8 @@ class Intrinsics:
                 path=path,
                 hint="give the intrinsics for this image size",
             )
-        try:
+        with located(path):
             camera = Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
-        except ToolkitError as error:
-            raise ToolkitError(
-                error.problem, path=path, field=error.field, value=error.value, hint=error.hint
-            ) from error
         for name, value, extent in (("cx", self.cx, size[0]), ("cy", self.cy, size[1])):
             if not off_centre and abs((value + 0.5) / extent - 0.5) > _OFF_CENTRE:
                 raise ToolkitError(

@@ -1,7 +1,5 @@
 """Mesh files that were cut off, which parsers of text formats read as smaller meshes."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -4,8 +4,6 @@ An OBJ file gives texture coordinates for each corner of a face. A mesh read in 
 vertices has one for each vertex, so faces at the border of a patch of the texture span the patches.
 """
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -3,14 +3,12 @@
 The module works on arrays; `plane.py` interprets the planes of a scene.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from std_toolkit.arrays import Array, Mask
+
 _HYPOTHESES = 1200
 _VOTERS = 4000
 # An inlier is within this many standard deviations.
@@ -32,7 +30,7 @@ class PlaneFit:
 
     normal: Array
     offset: float
-    inliers: NDArray[np.bool_]
+    inliers: Mask
     weight: float
     rms_m: float
 

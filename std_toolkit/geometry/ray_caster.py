@@ -1,7 +1,5 @@
 """Ray casts, distances and inside tests on triangle meshes with Embree (Open3D)."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Callable

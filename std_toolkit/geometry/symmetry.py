@@ -1,7 +1,5 @@
 """Symmetries of an object: equivalent poses, symmetry-aware pose errors, nearest variants."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry.colored_points import FOLDS, GENERIC, ColoredPoints
+from std_toolkit.geometry.mesh import surface_error
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import SE3, rotation_angle, so3_exp, so3_log
 from std_toolkit.geometry.surface_colors import SurfaceColors
@@ -32,7 +33,6 @@ from std_toolkit.geometry.turned_surface import (
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 
 # Points whose colours are compared; every third of them is compared by distance, and every
 # fifteenth in a first look.
@@ -51,8 +51,6 @@ _FARTHEST = 4.0
 # and after a rough alignment in tolerances.
 _HOPELESS, _PROMISING = 0.15, 3.0
 
-# Edges that are bent by more than this are part of the shape and not of its error.
-_CREASE = np.deg2rad(40)
 
 # Refined axes nearer than this to a mesh axis are the mesh axis if it fits as well.
 _NICE = np.deg2rad(2)
@@ -119,32 +117,6 @@ def check_symmetry(mesh: trimesh.Trimesh, symmetry: Symmetry) -> CheckedTurn | N
     search = _Search(mesh, None)
     turns = [search.check(T) for T in symmetry.transforms(_STEPS_OF_A_TURN)[1:]]
     return max(turns, key=lambda turn: turn.distance_m, default=None)
-
-
-def surface_error(mesh: trimesh.Trimesh) -> float:
-    """Error of a mesh that shows in itself: facets on curved parts and roughness, metres.
-
-    The height of an arc over a facet whose neighbours are bent by an angle; the 95th percentile
-    over the surface. A slow warp does not show.
-    """
-    import trimesh
-
-    # Vertices at one place, at seams of a texture, are one.
-    places, welded = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    mesh = trimesh.Trimesh(places, welded.reshape(-1)[mesh.faces], process=False)
-    angle, pairs = mesh.face_adjacency_angles, mesh.face_adjacency
-    if not len(pairs):
-        return 0.0
-    ends = mesh.vertices[mesh.face_adjacency_edges]
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    area = mesh.area_faces[pairs].sum(axis=1)
-    smooth = (angle < _CREASE) & (length > 0) & (area > 0)
-    if not smooth.any():
-        return 0.0
-    arc = area[smooth] / length[smooth] / 2 * np.tan(angle[smooth] / 4)
-    order = np.argsort(arc)
-    share = np.cumsum(area[smooth][order])
-    return float(arc[order][np.searchsorted(share, 0.95 * share[-1])])
 
 
 @dataclass(frozen=True)

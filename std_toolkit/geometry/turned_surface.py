@@ -1,6 +1,7 @@
-"""A surface after a turn compared with itself: points, axes to try, alignment, distances."""
+"""A surface after a turn compared with itself: points, axes to try, alignment, distances.
 
-from __future__ import annotations
+Also the axis of a rotational shape.
+"""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -17,6 +18,17 @@ Closest: TypeAlias = Callable[[Array], tuple[NDArray[np.floating], NDArray[np.fl
 SAME_AXIS = float(np.deg2rad(12))
 
 Basis: TypeAlias = tuple[Array, tuple[str, str, str]]
+
+# A normal that points to the axis within this sine belongs to a surface of revolution ...
+_ALIGNED = 0.2
+
+# ... which must cover this fraction of the sides; the rest is handles and spouts.
+_SHARE = 0.6
+
+# A bowl is part of a sphere, which is symmetric about every axis: the ratio of its width to its
+# depth is at most this.
+_RIM = 1.1
+_ROUNDS = 8
 
 
 def spread_points(
@@ -119,3 +131,51 @@ def align_turn(
         R = so3_exp(xi[3:])
         turn = SE3(R, xi[:3] + centre - R @ centre) @ turn
     return turn
+
+
+def round_axis(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> int | None:
+    """The coordinate axis (0, 1, 2) about which most of a mesh is rotationally symmetric, or None.
+
+    For bottles, cans, bowls and mugs this is the vertical axis, whichever axis their data set
+    calls up. Shapes with several such axes, such as a sphere, give None.
+    """
+    corners = np.asarray(vertices, dtype=np.float64)[faces]
+    middles = corners.mean(axis=1)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    shares = [
+        _turned_share(np.delete(middles, axis, axis=1), np.delete(normals, axis, axis=1))
+        for axis in range(3)
+    ]
+    turned = [axis for axis in range(3) if shares[axis] > _SHARE]
+    if len(turned) > 1:
+        extents = np.ptp(corners.reshape(-1, 3), axis=0)
+        rims = [np.delete(extents, axis) for axis in range(3)]
+        turned = [axis for axis in turned if rims[axis].max() <= _RIM * rims[axis].min()]
+    return turned[0] if len(turned) == 1 else None
+
+
+def _turned_share(places: Array, normals: Array) -> float:
+    """Fraction of the sides whose normals meet in one point, seen along an axis.
+
+    Args:
+        places: (N, 2) centres of the faces.
+        normals: (N, 2) their normals times their areas.
+    """
+    size = np.linalg.norm(normals, axis=1)
+    sides = size > 1e-6 * max(float(size.max(initial=0.0)), 1e-30)
+    if not sides.any():
+        return 0.0
+    places, size = places[sides], size[sides]
+    across = np.stack([-normals[sides, 1], normals[sides, 0]], axis=1) / size[:, None]
+    # across . (place - centre) = 0 for every face of a surface of revolution: least absolute
+    # residuals.
+    weight = size.copy()
+    for _ in range(_ROUNDS):
+        system = np.einsum("n,ni,nj->ij", weight, across, across)
+        centre = np.linalg.lstsq(
+            system, np.einsum("n,ni,nj,nj->i", weight, across, across, places), rcond=None
+        )[0]
+        missed = np.abs(np.einsum("ni,ni->n", across, places - centre))
+        weight = size / np.maximum(missed, 0.01 * max(float(np.median(missed)), 1e-9))
+    radius = np.linalg.norm(places - centre, axis=1)
+    return float(size[missed <= _ALIGNED * radius].sum() / size.sum())

@@ -4,8 +4,6 @@ The colours are from the palettes of Okabe and Ito and of Paul Tol, which suit c
 readers, the most distinct ones first. Materials have four colours of their own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ The four formats have the same cells. Features of one format (colours, shades, s
 the text of a cell and never replace it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

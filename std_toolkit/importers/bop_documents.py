@@ -1,9 +1,6 @@
 """The JSON documents of a BOP scene, checked."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -12,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry.se3 import ROTATION_TOLERANCE, SE3, nearest_rotation
 from std_toolkit.io.documents import read_document
 from std_toolkit.scene.document import check_in_front
@@ -168,7 +165,7 @@ def read_bop_scene(folder: Path, sensor: str = "", *, for_import: bool = True) -
         _by_id(read_document(gt_path, dict[str, list[GtRow]]), gt_path) if gt_path.is_file() else {}
     )
     for im_id, row in cameras.items():
-        with named(camera_path, f"{im_id}"):
+        with located(camera_path, f"{im_id}"):
             if for_import and row.cam_model is not None and not row.cam_model.is_pinhole:
                 raise ToolkitError("only pinhole cameras (cam_K) can be imported")
             _ = row.intrinsics
@@ -184,7 +181,7 @@ def read_bop_scene(folder: Path, sensor: str = "", *, for_import: bool = True) -
     )
     for k, (im_id, i, entry) in enumerate(entries):
         if for_import or k == bad:
-            with named(gt_path, f"{im_id}[{i}]"):
+            with located(gt_path, f"{im_id}[{i}]"):
                 check_in_front(entry.filed_pose, unit_hint="BOP translations are in millimetres")
     return BopScene(folder, cameras, gt)
 
@@ -270,14 +267,3 @@ def _by_id(table: dict[str, Row], path: Path) -> dict[int, Row]:
 def _plain_K(K: list[float]) -> None:
     if abs(K[1]) > 1e-6 * abs(K[0]) or K[3] or K[6:] != [0, 0, 1]:
         raise ToolkitError("K must be a camera matrix without skew", value=K)
-
-
-@contextmanager
-def named(path: Path, field: str) -> Iterator[None]:
-    """Add the file and the field to errors of the block."""
-    try:
-        yield
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=field, value=error.value, hint=error.hint
-        ) from error

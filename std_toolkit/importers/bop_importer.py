@@ -1,16 +1,14 @@
 """Scenes of BOP data sets: images, poses in millimetres, models."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.importers import bop_objects
 from std_toolkit.importers.bop_documents import BopScene, CameraRow, count_rough, read_bop_scene
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.model import CameraPoses, FramePose, Material
 from std_toolkit.scene.sidecar import ExportedFrame, Sidecar, find_sidecar
 
@@ -142,16 +140,8 @@ def _cameras(scene: BopScene, sidecar: Sidecar | None) -> tuple[dict[str, Camera
 
 
 def _camera(folder: Path, im_id: int, size: tuple[int, int], row: CameraRow) -> Camera:
-    try:
+    with located(folder / "scene_camera.json", f"{im_id}.cam_K"):
         return Camera(*size, *row.intrinsics)
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem,
-            path=folder / "scene_camera.json",
-            field=f"{im_id}.cam_K",
-            value=error.value,
-            hint=error.hint,
-        ) from error
 
 
 def _common_depth_scale(scene: BopScene) -> float | None:

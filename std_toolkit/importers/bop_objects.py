@@ -7,8 +7,6 @@ the k-th entries of a model are one object.
 The models are PLY in millimetres, with symmetries from models_info.json.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.importers import bop_documents, foreign_files, importer
@@ -236,7 +234,7 @@ def read_models(
         known = None
         if sidecar is not None and exported is not None:
             known = sidecar.objects.model(exported.model)
-        with bop_documents.named(info_path, str(number)):
+        with located(info_path, str(number)):
             symmetry = symmetry_of(infos.get(str(number)), centre)
         model = foreign_files.model_of_mesh(
             mesh,

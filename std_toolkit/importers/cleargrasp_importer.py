@@ -5,14 +5,12 @@ The transparent capture becomes the scene's colour and sensor depth. Colour and 
 replicas, the mask and the normals are kept in `reference/`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers import foreign_files, importer, intrinsics
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 
 _COLOR = "-transparent-rgb-img"

@@ -1,17 +1,16 @@
 """A folder of colour images, and one of aligned depth images, paired by name."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path
 
-from std_toolkit import errors, log, options
+from std_toolkit import errors, log
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, natural_key
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.scene.document import safe_name
 
@@ -36,7 +35,7 @@ class FolderImporter:
     def recognises(self, source: Path) -> bool:  # noqa: ARG002 - any folder could be one
         return False
 
-    def read(self, request: options.ImportRequest) -> Recording:
+    def read(self, request: ImportRequest) -> Recording:
         """See `Importer`.
 
         Raises:
@@ -110,7 +109,7 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
     return size
 
 
-def _camera(request: options.ImportRequest, size: tuple[int, int]) -> Camera:
+def _camera(request: ImportRequest, size: tuple[int, int]) -> Camera:
     if request.intrinsics is not None:
         given = request.intrinsics
         intrinsics = read_intrinsics(given, size=size)

@@ -1,8 +1,13 @@
-"""Files of other layouts: converts depth images, instance masks and meshes to metres and ids."""
+"""Files of other layouts: converts depth images, instance masks and meshes to metres and ids.
+
+Also tells whether a file or folder is a recording of ROS, without a reader of it.
+"""
 
 from __future__ import annotations
 
 import re
+import sqlite3
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +30,10 @@ DEPTH_SUFFIXES = (".png", ".exr")
 NEAREST_MEDIAN_M, FARTHEST_MEDIAN_M = 0.1, 10.0
 
 _SATURATED = 65535
+
+_ROS_FILES = (".mcap", ".db3", ".bag")
+# librealsense writes .bag and .db3 too, with topics of its own.
+_LIBREALSENSE = "/device_"
 
 
 @dataclass(frozen=True)
@@ -224,3 +233,28 @@ def natural_key(text: str) -> tuple[tuple[int, int | str], ...]:
     """Sort key that orders numbers inside names by value: 2 before 10."""
     parts = re.split(r"(\d+)", text)
     return tuple((0, int(p)) if p.isdigit() else (1, p) for p in parts if p)
+
+
+def is_ros_recording(source: Path | str) -> bool:
+    """Whether a file or folder is a recording of ROS, and none of librealsense."""
+    source = Path(source)
+    if source.is_dir():
+        kinds = {path.suffix for path in source.iterdir()}
+        return (source / "metadata.yaml").is_file() and bool(kinds & {".mcap", ".db3", ".zstd"})
+    if not source.is_file() or source.suffix.lower() not in _ROS_FILES:
+        return False
+    if source.suffix.lower() == ".mcap":
+        return True
+    if source.suffix.lower() == ".db3":
+        return not _topics_of_db3(source).startswith(_LIBREALSENSE)
+    with source.open("rb") as file:
+        return _LIBREALSENSE.encode() not in file.read(1 << 20)
+
+
+def _topics_of_db3(path: Path) -> str:
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
+            row = database.execute("SELECT name FROM topics ORDER BY name LIMIT 1").fetchone()
+    except sqlite3.Error:
+        return _LIBREALSENSE  # its own reader names what is damaged
+    return row[0] if row else ""

@@ -1,7 +1,5 @@
 """Files of one imported frame: checked, converted where needed, else copied or linked."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -13,8 +11,7 @@ import cv2
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.undistortion import Undistortion
+from std_toolkit.geometry.camera import Camera, Undistortion
 from std_toolkit.importers import foreign_files, importer
 from std_toolkit.io import exr, images
 from std_toolkit.options import LinkMode

@@ -1,7 +1,5 @@
 """The import step: selects the importer, reads, writes the scene completely or not at all."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -11,14 +9,15 @@ import msgspec
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.undistortion import Undistortion
+from std_toolkit.geometry.camera import Undistortion
 from std_toolkit.importers import foreign_files, importer
+from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.frame_files import WrittenFrame, write_frame
-from std_toolkit.importers.ros_importer import is_ros_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io import atomic
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
-from std_toolkit.options import ImportRequest, KnownCameras, LinkMode, PoseOptions
+from std_toolkit.options import KnownCameras, LinkMode, PoseOptions
 from std_toolkit.scene import CameraModel, Frames, ObjectTable, Scene, SceneInfo
 from std_toolkit.scene.document import check_name, check_relative
 from std_toolkit.scene.model import RecordedLens

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from std_toolkit import errors, options, plugins
+from std_toolkit import errors, plugins
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.scene.model import CameraPoses, Labels, Model, Object
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ class Importer(Protocol):
         """Whether `source` is certainly of this format, from file names only."""
         ...
 
-    def read(self, request: options.ImportRequest) -> Recording:
+    def read(self, request: ImportRequest) -> Recording:
         """Find and check the contents of the recording.
 
         Images that are not files of their own are written to `request.workspace`.

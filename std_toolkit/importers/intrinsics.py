@@ -1,7 +1,5 @@
 """Intrinsics from flags and from the files of cameras and data sets."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

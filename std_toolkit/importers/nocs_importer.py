@@ -1,14 +1,12 @@
 """The layout of the NOCS data sets (CAMERA and Real275) and of NOCS exports of the toolkit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers import foreign_files, importer, intrinsics, sidecar_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.sidecar import SIDECAR_NAME, find_sidecar
 

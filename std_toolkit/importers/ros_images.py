@@ -1,9 +1,8 @@
-"""Image messages of ROS: raw, compressed, and compressed depth."""
-
-from __future__ import annotations
+"""Image messages of ROS: raw, compressed, and compressed depth; pairs of the same time."""
 
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,9 @@ _RGB: dict[str, tuple[int, int | None]] = {
 COLOR_ENCODINGS = (*_RGB, "jpeg", "png")
 DEPTH_ENCODINGS = ("16UC1", "32FC1", "16UC1 compressed", "32FC1 compressed")
 _JPEG, _PNG = b"\xff\xd8", b"\x89PNG"
+
+# Largest difference of the stamps of a pair, as a fraction of the slower stream's period.
+_WITHIN = 0.55
 
 
 @dataclass(frozen=True)
@@ -201,3 +203,36 @@ def _unpacked(image: RosImage, source: Path, data: NDArray[np.uint8], flag: int)
     if pixels is None:
         raise ToolkitError("a damaged compressed image", path=source, field=image.topic)
     return np.asarray(pixels[..., ::-1] if pixels.ndim == 3 else pixels)
+
+
+def pair_stamps(color: list[float], depth: list[float]) -> list[tuple[int, int]]:
+    """Indices of colour and depth images of the same time, in order of time.
+
+    Each image is used once. Pairs are at most about half a period of the slower stream apart.
+
+    >>> pair_stamps([0.0, 0.1, 0.2], [0.01, 0.21])
+    [(0, 0), (2, 1)]
+    """
+    slower = max((_period(times) for times in (color, depth)), default=0.0)
+    allowed = _WITHIN * slower if slower > 0 else np.inf
+    order = np.argsort(depth, kind="stable")
+    times = np.asarray(depth)[order]
+    candidates = []
+    for i, stamp in enumerate(color):
+        at = int(np.searchsorted(times, stamp))
+        near = [j for j in (at - 1, at) if 0 <= j < len(times)]
+        candidates += [(abs(float(times[j]) - stamp), i, int(order[j])) for j in near]
+    used_color: set[int] = set()
+    used_depth: set[int] = set()
+    pairs = []
+    for apart, i, j in sorted(candidates):
+        if apart <= allowed and i not in used_color and j not in used_depth:
+            used_color.add(i)
+            used_depth.add(j)
+            pairs.append((i, j))
+    return sorted(pairs, key=lambda p: color[p[0]])
+
+
+def _period(times: list[float]) -> float:
+    gaps = [b - a for a, b in pairwise(sorted(times)) if b > a]
+    return float(np.median(gaps)) if gaps else 0.0

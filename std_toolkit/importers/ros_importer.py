@@ -4,44 +4,35 @@ The recording contains colour, depth aligned to colour, and the camera's `camera
 written to files, JPEG and PNG as recorded; colour and depth are paired by their time stamps.
 """
 
-from __future__ import annotations
-
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError, missing_extra
+from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.intrinsics import Intrinsics, listed_coefficients, model_of_file
+from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.ros_images import (
     COLOR_ENCODINGS,
     DEPTH_ENCODINGS,
     RosImage,
     image_of,
+    pair_stamps,
     write_image,
 )
 from std_toolkit.log import logger
 
-if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
-    from std_toolkit.options import ImportRequest
-
-_FILES = (".mcap", ".db3", ".bag")
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-# librealsense writes .bag and .db3 too, with topics of its own.
-_LIBREALSENSE = "/device_"
 # REP 118: 16-bit depth is in millimetres, floating-point depth in metres.
 _UNIT_M = 0.001
-# Largest difference of the stamps of a pair, as a fraction of the slower stream's period.
-_WITHIN = 0.55
 _TRANSPORTS = ("compressed", "compressedDepth")
 
 
@@ -63,31 +54,6 @@ class ImageTopic:
         """The name without the image transport."""
         stem, _, last = self.name.rpartition("/")
         return stem if last in _TRANSPORTS else self.name
-
-
-def is_ros_recording(source: Path | str) -> bool:
-    """Whether a file or folder is a recording of ROS, and none of librealsense."""
-    source = Path(source)
-    if source.is_dir():
-        kinds = {path.suffix for path in source.iterdir()}
-        return (source / "metadata.yaml").is_file() and bool(kinds & {".mcap", ".db3", ".zstd"})
-    if not source.is_file() or source.suffix.lower() not in _FILES:
-        return False
-    if source.suffix.lower() == ".mcap":
-        return True
-    if source.suffix.lower() == ".db3":
-        return not _topics_of_db3(source).startswith(_LIBREALSENSE)
-    with source.open("rb") as file:
-        return _LIBREALSENSE.encode() not in file.read(1 << 20)
-
-
-def _topics_of_db3(path: Path) -> str:
-    try:
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
-            row = database.execute("SELECT name FROM topics ORDER BY name LIMIT 1").fetchone()
-    except sqlite3.Error:
-        return _LIBREALSENSE  # its own reader names what is damaged
-    return row[0] if row else ""
 
 
 def _check_length(path: Path) -> None:
@@ -380,36 +346,3 @@ def _frames(
         for number, (c, _) in enumerate(pairs)
     ]
     return frames, sum(len(times) - len(pairs) for times in stamps.values())
-
-
-def pair_stamps(color: list[float], depth: list[float]) -> list[tuple[int, int]]:
-    """Indices of colour and depth images of the same time, in order of time.
-
-    Each image is used once. Pairs are at most about half a period of the slower stream apart.
-
-    >>> pair_stamps([0.0, 0.1, 0.2], [0.01, 0.21])
-    [(0, 0), (2, 1)]
-    """
-    slower = max((_period(times) for times in (color, depth)), default=0.0)
-    allowed = _WITHIN * slower if slower > 0 else np.inf
-    order = np.argsort(depth, kind="stable")
-    times = np.asarray(depth)[order]
-    candidates = []
-    for i, stamp in enumerate(color):
-        at = int(np.searchsorted(times, stamp))
-        near = [j for j in (at - 1, at) if 0 <= j < len(times)]
-        candidates += [(abs(float(times[j]) - stamp), i, int(order[j])) for j in near]
-    used_color: set[int] = set()
-    used_depth: set[int] = set()
-    pairs = []
-    for apart, i, j in sorted(candidates):
-        if apart <= allowed and i not in used_color and j not in used_depth:
-            used_color.add(i)
-            used_depth.add(j)
-            pairs.append((i, j))
-    return sorted(pairs, key=lambda p: color[p[0]])
-
-
-def _period(times: list[float]) -> float:
-    gaps = [b - a for a, b in pairwise(sorted(times)) if b > a]
-    return float(np.median(gaps)) if gaps else 0.0

@@ -1,7 +1,5 @@
 """Recordings exported with a sidecar, which has everything that the layout cannot represent."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

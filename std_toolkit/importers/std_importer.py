@@ -7,8 +7,6 @@ advise. Camera poses are recovered by `std-curate poses`. STD exports of the too
 this in a sidecar.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,8 +19,8 @@ from std_toolkit.importers import (
     sidecar_recording,
     std_objects,
 )
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name
 from std_toolkit.scene.sidecar import find_sidecar
 

@@ -1,7 +1,5 @@
 """Objects of an STD or DREDS download: meta lines, CAD models, poses from NOCS and depth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,8 +13,8 @@ from std_toolkit.geometry import SE3, Camera, ransac_similarity, unproject_depth
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
 from std_toolkit.importers import foreign_files
 from std_toolkit.importers.importer import SourceModel
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size, read_png
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.model import (
     CATEGORY_CLASS_IDS,

@@ -4,8 +4,6 @@ A file or folder is either the old one or complete. A scene has one writer and o
 time.
 """
 
-from __future__ import annotations
-
 import fcntl
 import getpass
 import os

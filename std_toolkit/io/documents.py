@@ -1,7 +1,5 @@
 """JSON documents: strict, typed, one-line errors that name the field. Digests of content."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

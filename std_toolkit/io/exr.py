@@ -8,8 +8,6 @@ damaged chunk and does not detect some damage.
 Source: "OpenEXR File Layout", openexr.com.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass

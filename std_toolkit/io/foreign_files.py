@@ -4,8 +4,6 @@ The readers of NumPy, PyYAML and csv trust their input: a header of a few bytes 
 terabyte, aliases of YAML grow exponentially, and a long field raises an error without a file name.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -5,8 +5,6 @@ searches for the end of a JPEG, because Pillow's `verify` does nothing for JPEG 
 the missing part of a truncated one with grey.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import struct

@@ -1,7 +1,5 @@
 """Image files: 8-bit colour, 16-bit depth, masks. Headers are checked before decoding pixels."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

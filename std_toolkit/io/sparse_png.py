@@ -8,8 +8,6 @@ reader of PNG reads the files: deflate mixes both. Files of ISA-L at level 1 are
 Source: RFC 1950 (zlib), RFC 1951 (deflate), "Portable Network Graphics Specification", w3.org.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,7 +1,5 @@
 """TIFF images of one channel: depth and grey of BOP's data set ITODD."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -6,8 +6,6 @@ the files; after a change, an interruption or a damaged record it makes them aga
 Inputs are known by the digest of their content, never by name alone.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

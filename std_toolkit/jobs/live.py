@@ -1,7 +1,5 @@
 """Interface of a program that runs until it is stopped: status line and stop by signal."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Items over a Ray cluster (extra `[cluster]`)."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal
@@ -12,7 +10,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.options import ATTEMPTS, JobOptions, Outcome, error_of, worker_died
+from std_toolkit.jobs.outcome import ATTEMPTS, Outcome, error_of, worker_died
+from std_toolkit.options import JobOptions
 
 _CONNECT_SECONDS = 5.0
 

@@ -9,8 +9,6 @@ workers, hangs on an item that ends its process with status 0, and on all items 
 killed while it sent its result.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -26,17 +24,9 @@ from multiprocessing import connection
 from typing import Any, Generic, Protocol
 
 from std_toolkit.errors import ToolkitError, is_interrupt
-from std_toolkit.jobs.options import (
-    ATTEMPTS,
-    Item,
-    JobOptions,
-    Outcome,
-    Result,
-    error_of,
-    usable_cores,
-    worker_died,
-)
+from std_toolkit.jobs.outcome import ATTEMPTS, Item, Outcome, Result, error_of, worker_died
 from std_toolkit.log import logger
+from std_toolkit.options import JobOptions, usable_cores
 from std_toolkit.settings import in_force, use_only
 
 Call = Callable[[Any], Outcome[Any]]

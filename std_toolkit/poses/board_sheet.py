@@ -4,8 +4,6 @@ The frame of the board: origin in the middle of the sheet, x to the right, y up 
 the paper, so that an object that stands on the sheet has z upwards.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -13,8 +13,6 @@ par         `*_par.txt`: image name, K, R and t per line, P = K [R | t]
 The convention of the file is applied by `known_cameras`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +26,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics, named_lens
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.foreign_files import read_npy
+from std_toolkit.log import logger
 from std_toolkit.poses.camera_table import FiledCameras, as_matrix, read_table
 
 # Keys of a JSON matrix, with the direction that the name states, if it states one.
@@ -57,7 +56,10 @@ def read_cameras(path: Path | str) -> FiledCameras:
     Raises:
         ToolkitError: not found, not a known format, or a matrix that is no pose.
     """
-    path = Path(path)
+    return _read(Path(path)).rigid()
+
+
+def _read(path: Path) -> FiledCameras:
     if not path.exists():
         raise ToolkitError("no such file or folder of camera poses", path=path)
     if path.is_dir():
@@ -93,12 +95,15 @@ def read_transform(path: Path, *, unit_in_m: float) -> SE3:
     if path.suffix.lower() == ".json":
         document = read_document(path, Any)
         pose = _quaternion(path, document)
-        filed = _read_json(path, document) if pose is None else None
+        filed = _read_json(path, document).rigid() if pose is None else None
         M = filed.matrices if filed is not None else np.asarray(pose)[None]
     else:
-        M = read_cameras(path).matrices
+        filed = read_cameras(path)
+        M = filed.matrices
     if len(M) != 1:
         raise ToolkitError("expected one 4x4 matrix", path=path, value=f"{len(M)} matrices")
+    for repair in filed.repairs if filed is not None else ():
+        logger.warning("%s: %s", path, repair)
     T = SE3.from_matrix(M[0])
     return SE3(T.R, T.t * unit_in_m)
 
@@ -263,7 +268,7 @@ def _read_folder(folder: Path) -> FiledCameras:
         ):
             return _read_colmap(model)
     if (folder / "transforms.json").is_file():
-        return read_cameras(folder / "transforms.json")
+        return _read(folder / "transforms.json")
     # Files without a number in their names are calibrations and notes.
     files = [p for p in sorted(folder.iterdir()) if p.is_file() and any(map(str.isdigit, p.stem))]
     kinds = {s: [p for p in files if p.suffix.lower() == s] for s in (".txt", ".npy", ".json")}
@@ -273,7 +278,7 @@ def _read_folder(folder: Path) -> FiledCameras:
     found = _Rows(folder)
     directions: set[str | None] = set()
     for path in kinds[suffix]:
-        one = read_cameras(path)
+        one = _read(path)
         if len(one.matrices) != 1:
             raise ToolkitError(
                 "in a folder, each file has the pose of one image", path=path,

@@ -8,28 +8,39 @@ rotation      `qw qx qy qz`, or the rotation vector `rx ry rz` in radians
 or a matrix   `m00` to `m33` (or to `m23`), row-major
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.arrays import Array
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics
-from std_toolkit.geometry.se3 import so3_exp
+from std_toolkit.geometry.se3 import ROTATION_TOLERANCE, nearest_rotation, so3_exp
 from std_toolkit.io.foreign_files import csv_rows
+from std_toolkit.settings import Settings, limit
 
 _KEYS = ("name", "image", "file", "filename", "file_path", "timestamp", "time", "frame", "id")
 _POSITIONS = (("x", "y", "z"), ("tx", "ty", "tz"), ("px", "py", "pz"))
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _VECTOR = ("rx", "ry", "rz")
 _MATRIX = tuple(f"m{r}{c}" for r in range(4) for c in range(4))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraTableSettings(Settings):
+    """Which numbers of a file are a camera pose."""
+
+    largest_deviation: float = limit(
+        1e-2,
+        source="poses of KinectFusion in float32 are 1.9e-4 off; files of three decimals are up to "
+        "2e-3 off, a scale of 1 % is 2e-2 off",
+    )
+    """largest entry of `R R^T - I` of a rotation R that is taken for one with rounding errors"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,23 +50,45 @@ class FiledCameras:
     Attributes:
         path: the file or folder.
         kind: name of the format.
-        matrices: (N, 4, 4) rigid transforms.
+        matrices: (N, 4, 4) rigid transforms; within the readers of one format as filed, with the
+            last row 0 0 0 w.
         keys: what names the image of each pose: file name, time stamp or number. None: the
             poses are in the order of the images.
         lenses: intrinsics of each pose where the file has them; may be empty.
         convention: convention that the format fixes; None: the file does not state it.
         unit: unit that the format fixes.
         unit_is_open: such files are often in an arbitrary unit, so the user must name it.
+        repairs: sentences on what `rigid` changed.
     """
 
     path: Path
     kind: str
-    matrices: NDArray[np.float64]
+    matrices: Array
     keys: list[str] | None = None
     lenses: Sequence[Intrinsics | None] = ()
     convention: str | None = None
     unit: str | None = None
     unit_is_open: bool = False
+    repairs: Sequence[str] = ()
+
+    def rigid(self) -> Self:
+        """Return the poses with exact rotations and the last row 0 0 0 1."""
+        off = np.array([rotation_deviation(M) for M in self.matrices])
+        rough = int((off > ROTATION_TOLERANCE).sum())
+        w = self.matrices[:, 3, 3]
+        repairs = []
+        if rough:
+            repairs.append(
+                f"the rotations of {rough} of {len(off)} poses are up to {off.max():.2g} off "
+                "orthonormal; the nearest rotations are used"
+            )
+        if (scaled := int((w != 1).sum())) and not np.allclose(w, 1, atol=1e-6):
+            repairs.append(
+                f"the last row of {scaled} of {len(off)} poses is 0 0 0 w, w = "
+                f"{w[w != 1][0]:.6g}; they are divided by w"
+            )
+        exact = np.array([_rigid(M) for M in self.matrices])
+        return replace(self, matrices=exact, repairs=repairs)
 
     def lens(self) -> Intrinsics | None:
         """Return the intrinsics that all poses share; None if the file has none.
@@ -79,8 +112,8 @@ class FiledCameras:
         return lenses[0]
 
 
-def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
-    """Return a (4, 4) rigid transform from 16 or 12 numbers in any nesting.
+def as_matrix(value: Any, path: Path, at: str) -> Array:
+    """Return 16 or 12 numbers in any nesting as (4, 4), of which `FiledCameras.rigid` makes a pose.
 
     Raises:
         ToolkitError: other numbers, or not a rigid transform; `at` names the place.
@@ -94,7 +127,35 @@ def as_matrix(value: Any, path: Path, at: str) -> NDArray[np.float64]:
             "a camera pose needs 4x4 (or 3x4) numbers", path=path, field=at,
             value=f"{M.size} numbers",
         )  # fmt: skip
-    return _placed(lambda: SE3.from_matrix(M).matrix(), path, at)
+    M = M.reshape(-1, 4)
+    M = M if len(M) == 4 else np.vstack([M, [0.0, 0.0, 0.0, 1.0]])
+    with located(path, at):
+        _rigid(M)
+    return M
+
+
+def rotation_deviation(M: Array) -> float:
+    """Largest entry of `R R^T - I` of the rotation of a homogeneous matrix (4, 4), see `_rigid`."""
+    R = M[:3, :3]
+    off = [float(np.abs(A @ A.T - np.eye(3)).max()) for A in (R, R / M[3, 3])]
+    return min(off)
+
+
+def _rigid(M: Array) -> Array:
+    """Return the rigid transform of a homogeneous matrix (4, 4) with the last row 0 0 0 w.
+
+    A homogeneous matrix is known up to a factor, so that M / w is the pose, if its rotation is
+    one. Some writers scale only the translation by w: the rotation is one as it is filed.
+    """
+    w = float(M[3, 3])
+    if not np.isfinite(M).all() or np.abs(M[3, :3]).max() > 1e-6 * abs(w) or w == 0:
+        return SE3.from_matrix(M).matrix()  # which refuses it
+    limit = CameraTableSettings.current().largest_deviation
+    whole = M[:3] / w
+    off = np.abs(M[:3, :3] @ M[:3, :3].T - np.eye(3)).max()
+    if w > 0 and off <= limit:
+        whole = np.column_stack([M[:3, :3], M[:3, 3] / w])
+    return SE3(nearest_rotation(whole[:, :3], tolerance=limit), whole[:, 3]).matrix()
 
 
 def read_table(path: Path) -> FiledCameras:
@@ -225,7 +286,7 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
 
 def _csv_matrix(
     values: list[float], rotation: tuple[str, ...] | None, path: Path, at: str
-) -> NDArray[np.float64]:
+) -> Array:
     if rotation is None:
         return as_matrix(values, path, at)
     if rotation == _QUATERNION:
@@ -235,20 +296,9 @@ def _csv_matrix(
     return SE3(so3_exp(values[3:]), np.array(values[:3])).matrix()
 
 
-def _from_quat(
-    wxyz: Sequence[float], t: Sequence[float], path: Path, at: str
-) -> NDArray[np.float64]:
-    return _placed(lambda: SE3.from_quat(wxyz, t).matrix(), path, at)
-
-
-def _placed(make: Callable[[], NDArray[np.float64]], path: Path, at: str) -> NDArray[np.float64]:
-    """Add the place in the file to an error."""
-    try:
-        return make()
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=at or None, value=error.value, hint=error.hint
-        ) from error
+def _from_quat(wxyz: Sequence[float], t: Sequence[float], path: Path, at: str) -> Array:
+    with located(path, at):
+        return SE3.from_quat(wxyz, t).matrix()
 
 
 def _is_number(word: str) -> bool:

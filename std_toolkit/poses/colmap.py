@@ -5,17 +5,17 @@ of this module add half a pixel on the way in and subtract it on the way out; no
 COLMAP's `cam_from_world` is the toolkit's `T_cam_world`.
 
 The operations add frames, set scale and world frame, and compute the quality of each frame.
+`Reconstructed` is a model of the registered frames of a scene.
 """
-
-from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.camera_models import MODELS, Lens, Pinhole
+from std_toolkit.scene import CameraModel, Frame, Scene
+from std_toolkit.scene.model import Document
 
 HALF_PIXEL = 0.5
 
@@ -237,3 +239,64 @@ def scale_world(model: Any, factor: float) -> None:
     """Scale the model about the origin of its world, in place."""
     if factor != 1:
         model.transform(pycolmap.Sim3d(factor, pycolmap.Rotation3d(), np.zeros(3)))
+
+
+class Reconstruction(Document, frozen=True, kw_only=True):
+    """Metadata of a cached model.
+
+    Attributes:
+        keyframes: frame ids of the keyframes.
+        camera_ids: COLMAP camera id by camera key.
+        other_sizes: number of images in each smaller model that was dropped.
+        explained: fraction of the matches of neighbouring images that the model explains, if all
+            pairs were matched.
+    """
+
+    keyframes: list[int]
+    camera_ids: dict[str, int]
+    other_sizes: list[int] = msgspec.field(default_factory=list)
+    explained: float | None = None
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """A model of all registered frames.
+
+    Attributes:
+        model: pycolmap.Reconstruction; image id = frame id + 1.
+        about: metadata of the model.
+    """
+
+    model: Any
+    about: Reconstruction
+
+    def image_ids(self, frames: Sequence[Frame]) -> dict[int, int]:
+        """Return COLMAP image ids by frame id for the registered frames, in ascending order."""
+        ids = {f.id: image_id_of(f) for f in frames}
+        return {
+            f: i
+            for f, i in ids.items()
+            if self.model.exists_image(i) and self.model.image(i).has_pose
+        }
+
+    def cameras(self) -> dict[str, Camera]:
+        """Return the adjusted intrinsics by camera key."""
+        return {
+            key: from_colmap_camera(self.model.camera(number))
+            for key, number in self.about.camera_ids.items()
+            if self.model.exists_camera(number)
+        }
+
+
+def image_id_of(frame: Frame) -> int:
+    """Return the COLMAP image id of a frame; COLMAP counts from 1."""
+    return frame.id + 1
+
+
+def adjusted_cameras(scene: Scene, done: Reconstructed) -> dict[str, CameraModel]:
+    """Return the adjusted intrinsics that differ from those of scene.json, by camera key."""
+    changed = {}
+    for key, camera in done.cameras().items():
+        if camera != scene.info.cameras[key].camera():
+            changed[key] = CameraModel.of(camera)
+    return changed

@@ -3,8 +3,6 @@
 Keyframes are a small number of sharp frames that cover the whole camera path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial

@@ -163,6 +163,21 @@ class KnownPoses:
         applied = (convention or self.convention).apply(self.filed.matrices[rows])
         return dict(zip(self.row, applied, strict=True))
 
+    def shifted(self, step: int) -> dict[int, SE3]:
+        """T_world_cam by frame id if each frame has the pose `step` rows further in the list.
+
+        The list is the file, or the poses of the frames where the file is in another order.
+        """
+        rows = list(self.row.values())
+        if rows == sorted(rows):
+            moved = {f: row + step for f, row in self.row.items()}
+            moved = {f: row for f, row in moved.items() if 0 <= row < len(self.filed.matrices)}
+        else:
+            ends = (slice(None, -step), slice(step, None))
+            ends = ends if step > 0 else (slice(-step, None), slice(None, step))
+            moved = dict(zip(list(self.row)[ends[0]], rows[ends[1]], strict=True))
+        return replace(self, row=moved).poses()
+
     @property
     def metric(self) -> bool:
         return self.convention.unit != "unknown"
@@ -183,7 +198,7 @@ class KnownPoses:
         text += f"{self.convention.title}, unit {self.convention.unit}"
         if self.options.hand_eye is not None:
             text += f", hand-eye transform {self.options.hand_eye.name}"
-        return text
+        return "; ".join([text, *self.filed.repairs])
 
 
 def read_known_poses(options: KnownCameras, frames: Sequence[Frame]) -> KnownPoses:
@@ -199,6 +214,8 @@ def read_known_poses(options: KnownCameras, frames: Sequence[Frame]) -> KnownPos
     """
     assert options.cameras is not None
     filed = read_cameras(options.cameras)
+    for repair in filed.repairs:
+        logger.warning("%s: %s", filed.path, repair)
     row = match_frames(filed, frames, max_dt=options.cameras_max_dt)
     lost = [f.name for f in frames if f.id not in row]
     if lost:

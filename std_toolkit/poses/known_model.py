@@ -1,7 +1,5 @@
 """Reconstruction at known camera poses: check, triangulation, refinement with fixed scale."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -13,20 +11,29 @@ import numpy as np
 import pycolmap
 
 from std_toolkit import errors, log
-from std_toolkit.geometry import SE3, Camera, camera, rotation_angle
+from std_toolkit.geometry import SE3, Camera, depth_maps, rotation_angle
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
 from std_toolkit.poses import features, mapping, reconstruct, register
 from std_toolkit.poses.colmap import (
-    add_image,
+    Reconstructed,
+    Reconstruction,
     from_rigid3d,
+    image_id_of,
     observations,
     quiet_colmap,
     to_colmap_camera,
     to_rigid3d,
 )
+from std_toolkit.poses.frame_check import (
+    FrameFeatures,
+    FrameVerdicts,
+    add_frames,
+    count_explained,
+    judge_keyframes,
+)
 from std_toolkit.poses.known_cameras import KnownPoses
-from std_toolkit.poses.pose_check import check_poses, join_tracks
+from std_toolkit.poses.pose_check import check_poses, join_tracks, refuse_shifted
 from std_toolkit.poses.scale_sources import DepthScale, ScaleContext, resolve_scale
 from std_toolkit.poses.small_sets import verified_matches
 from std_toolkit.scene import Frame, Scene
@@ -61,7 +68,7 @@ def reconstruct_known(
     *,
     options: PoseOptions,
     jobs: JobOptions,
-) -> tuple[reconstruct.Reconstructed, list[str]]:
+) -> tuple[Reconstructed, list[str]]:
     """Check the known poses against the images and triangulate the points that they explain.
 
     Args:
@@ -100,7 +107,7 @@ def reconstruct_known(
     log.logger.info("known camera poses: checking %d, %d image pairs", len(keyframes), len(pairs))
     images = [
         mapping.MappingImage(
-            image_id=reconstruct.image_id_of(f), name=f.color, camera=f.camera,
+            image_id=image_id_of(f), name=f.color, camera=f.camera,
             features=loaded[f.id],
         )
         for f in keyframes
@@ -110,30 +117,53 @@ def reconstruct_known(
         [(a - 1, b - 1, m) for a, b, m in verified_matches(database)],
         {f.id: loaded[f.id].uv for f in keyframes},
     )
-    file_names = {f.id: f.color.rsplit("/")[-1] for f in frames}
-    verdict = check_poses(known, tracks, lens, file_names)
-    poses = {f: T for f, T in known.poses().items() if f not in verdict.bad}
-    model = _triangulate(database, work, keyframes, poses, cameras, camera_ids, options)
+    verdict = check_poses(known, tracks, lens)
+    poses, px = known.poses(), known.options.cameras_max_px
+    suspects, verdicts = set[int](), FrameVerdicts()
+    if verdict.fits and len(keyframes) > 2:
+        given = {f.id: poses[f.id] for f in keyframes}
+        explained, px = count_explained(tracks, given, lens, px=px)
+        suspects, verdicts = judge_keyframes(explained)
+    kept = [(i, f) for i, f in zip(chosen, keyframes, strict=True) if f.id not in suspects]
+    if len(kept) < 2:
+        raise errors.ToolkitError(
+            f"other poses explain more features of {len(suspects)} of {len(keyframes)} images",
+            path=known.filed.path,
+            hint="check intrinsics and order, or keep the poses with --cameras-unchecked",
+        )
+    held = {f.id: poses[f.id] for _, f in kept}
+    model = _triangulate(database, work, keyframes, held, cameras, camera_ids, options)
     _check_distance(model, known)
-    number = reconstruct.image_id_of
+    number = image_id_of
     index = register.build_index(
         model,
-        [(number(f), names[f.id], i) for i, f in zip(chosen, keyframes, strict=True)],
+        [(number(f), names[f.id], i) for i, f in kept],
         {number(f): vectors[f.id] for f in keyframes},
         vocabulary,
     )
     index.save(work / "index.npz")
-    rest = {i: f for i, f in enumerate(frames) if i not in set(chosen)}
-    bad = _add_rest(model, known, rest, poses, lens, names, camera_ids, cache, work, options, jobs)
-    notes = [known.note(), *verdict.notes]
-    if bad:
-        shown = ", ".join(f"{file_names[f]} ({e:.0f} px)" for f, e in list(bad.items())[:5])
-        notes.append(f"the pose of {len(bad)} further frames does not fit the others: {shown}")
+    add_frames(
+        model,
+        [(i, f) for i, f in enumerate(frames) if f.id not in held],
+        poses,
+        lens,
+        camera_ids,
+        FrameFeatures(names=names, folder=cache / "features", index=work / "index.npz"),
+        verdicts,
+        px=px,
+        keep_wrong=known.options.cameras_unchecked,
+        options=options,
+        jobs=jobs,
+    )
+    if verdicts.wrong and verdict.median_px is not None and not known.options.cameras_unchecked:
+        refuse_shifted(known, tracks, lens, verdict.median_px)
+    file_names = {f.id: f.color.rsplit("/")[-1] for f in frames}
+    notes = [known.note(), *verdict.notes, *verdicts.notes(file_names)]
     if known.options.cameras_use == "refine":
-        kept = {f: T for f, T in poses.items() if f not in bad}
-        notes.append(_refine(model, kept, verdict.median_px or 0.0, options))
-    about = reconstruct.Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
-    return reconstruct.Reconstructed(model, about), notes
+        used = {f: T for f, T in poses.items() if model.exists_image(f + 1)}
+        notes.append(_refine(model, used, verdict.median_px or 0.0, options))
+    about = Reconstruction(keyframes=[f.id for f in keyframes], camera_ids=camera_ids)
+    return Reconstructed(model, about), notes
 
 
 def known_scale(
@@ -248,7 +278,7 @@ def _triangulate(
         image = pycolmap.Image(
             name=frame.color,
             camera_id=camera_ids[frame.camera],
-            image_id=reconstruct.image_id_of(frame),
+            image_id=image_id_of(frame),
         )
         model.add_image_with_trivial_frame(image, to_rigid3d(poses[frame.id].inverse()))
     pipeline = pycolmap.IncrementalPipelineOptions()
@@ -272,7 +302,7 @@ def _check_distance(model: Any, known: KnownPoses) -> None:
     if len(every) == 0:
         return
     median = float(np.median(every))
-    if not camera.SMALLEST_MEDIAN_DEPTH_M <= median <= camera.LARGEST_MEDIAN_DEPTH_M:
+    if not depth_maps.SMALLEST_MEDIAN_DEPTH_M <= median <= depth_maps.LARGEST_MEDIAN_DEPTH_M:
         raise errors.ToolkitError(
             f"by these poses the objects are {median:.4g} m from the camera",
             path=known.filed.path,
@@ -288,55 +318,6 @@ def _unit_hint(known: KnownPoses, factor: float) -> str:
     if unit == known.convention.unit:
         return "check the unit: --cameras-unit"
     return f"use --cameras-unit {unit}"
-
-
-def _add_rest(
-    model: Any,
-    known: KnownPoses,
-    rest: dict[int, Frame],
-    poses: dict[int, SE3],
-    lens: dict[int, Camera],
-    names: dict[int, str],
-    camera_ids: dict[str, int],
-    cache: Path,
-    work: Path,
-    options: PoseOptions,
-    jobs: JobOptions,
-) -> dict[int, float]:
-    """Add the frames that are no keyframes; return the median error of those that do not fit."""
-    report = register.register_frames(
-        [register.RegistrationJob(names[f.id], order, lens[f.id]) for order, f in rest.items()],
-        work / "index.npz",
-        cache / "features",
-        min_points=options.min_points,
-        seed=options.seed,
-        options=jobs,
-    )
-    report.raise_if_failed()
-    bad: dict[int, float] = {}
-    for frame in rest.values():
-        found: register.Registration | None = report.results[names[frame.id]]
-        uv, ids = np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
-        if found is not None:
-            # The matches are those of a pose of their own, so they test the given one.
-            uv = features.load_features(cache / "features", names[frame.id]).uv[found.keypoint]
-            ids = found.point_ids
-            xyz = np.array([model.point3D(int(p)).xyz for p in ids])
-            local = poses[frame.id].inverse() @ xyz
-            error = float(np.median(np.linalg.norm(lens[frame.id].project(local) - uv, axis=1)))
-            if not error <= known.options.cameras_max_px and not known.options.cameras_unchecked:
-                bad[frame.id] = error
-                continue
-        add_image(
-            model,
-            image_id=reconstruct.image_id_of(frame),
-            name=frame.color,
-            camera_id=camera_ids[frame.camera],
-            T_cam_world=poses[frame.id].inverse(),
-            uv=uv,
-            point_ids=ids,
-        )
-    return bad
 
 
 def _refine(model: Any, poses: dict[int, SE3], median_px: float, options: PoseOptions) -> str:

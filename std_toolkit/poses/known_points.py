@@ -6,8 +6,6 @@ determined) and translation along the line of sight (poorly determined) correctl
 poses or distances does not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

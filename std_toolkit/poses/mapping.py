@@ -1,7 +1,5 @@
 """Mapping of the keyframes with COLMAP: verified matching, mapping, bundle adjustment."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -331,3 +329,11 @@ def _map_globally(
     adjustment.refine_extra_params = options.refine is Refinement.DISTORTION
     adjustment.ceres.use_gpu = False
     return dict(pycolmap.global_mapping(database, work, output, pipeline))
+
+
+def unregister_unseen(model: Any, *, min_points: int) -> None:
+    """Deregister images that have too few points after the bundle adjustment."""
+    for number in list(model.reg_image_ids()):
+        image = model.image(number)
+        if image.num_points3D < min_points:
+            model.deregister_frame(image.frame_id)

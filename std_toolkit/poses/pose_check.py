@@ -8,7 +8,7 @@ their error, so that wrong poses cannot look good by dropping what they fail on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -38,8 +38,6 @@ class PoseCheckSettings(Settings):
     """fewer tracks check nothing"""
     better_factor: float = limit(3.0, source=NOT_RECORDED)
     """a convention that explains the images this many times better is named"""
-    fewest_observations: int = limit(15, source=NOT_RECORDED)
-    """observations that show that one frame's pose is wrong"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +66,14 @@ class Tracks:
         rows = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
         ends = np.cumsum([0, *(len(p) for p in parts)])
         return Tracks(self.frame[rows], self.uv[rows], ends)
+
+    def among(self, frames: Collection[int]) -> Tracks:
+        """Return the tracks of these frames."""
+        rows = np.flatnonzero(np.isin(self.frame, list(frames)))
+        track = np.repeat(np.arange(len(self)), np.diff(self.offsets))[rows]
+        counts = np.bincount(track, minlength=len(self))
+        rows = rows[counts[track] >= 2]
+        return Tracks(self.frame[rows], self.uv[rows], np.cumsum([0, *counts[counts >= 2]]))
 
     def _ranges(self) -> list[tuple[int, int]]:
         return list(pairwise(self.offsets.tolist()))
@@ -170,25 +176,22 @@ class PoseVerdict:
 
     Attributes:
         median_px: median reprojection error; None if too few features match.
-        bad: median error of each frame whose pose does not fit the others, by frame id.
+        fits: whether the poses explain the images.
         notes: sentences for the user.
     """
 
     median_px: float | None
-    bad: dict[int, float]
+    fits: bool
     notes: list[str]
 
 
-def check_poses(
-    known: KnownPoses, tracks: Tracks, camera: Mapping[int, Camera], names: Mapping[int, str]
-) -> PoseVerdict:
-    """Check that the poses explain the images.
+def check_poses(known: KnownPoses, tracks: Tracks, camera: Mapping[int, Camera]) -> PoseVerdict:
+    """Check that the poses as a whole explain the images.
 
     Args:
         known: the poses.
         tracks: matched features of the frames with poses.
         camera: intrinsics by frame id.
-        names: file name by frame id.
 
     Raises:
         ToolkitError: they do not, or too few features match, unless the options keep such poses.
@@ -206,9 +209,8 @@ def check_poses(
                 problem, path=path,
                 hint="put texture into view, or keep the poses with --cameras-unchecked",
             )  # fmt: skip
-        return PoseVerdict(None, {}, [problem])
-    errors = chosen.errors(known.poses(), camera)
-    median = float(np.median(errors))
+        return PoseVerdict(None, False, [problem])
+    median = float(np.median(chosen.errors(known.poses(), camera)))
     if median > limit:
         problem = f"these poses do not explain the images: {_px(median)}"
         advice = _explained(known, tracks, camera, median)
@@ -219,17 +221,9 @@ def check_poses(
                 or f"limit {limit:g} px; check intrinsics, order and convention, or keep the poses "
                 "with --cameras-unchecked",
             )  # fmt: skip
-        return PoseVerdict(median, {}, [f"{problem}; {advice}" if advice else problem])
-    bad = {}
-    for f in sorted(set(chosen.frame.tolist())):
-        own = errors[chosen.frame == f]
-        if len(own) >= limits.fewest_observations and np.median(own) > limit:
-            bad[f] = float(np.median(own))
+        return PoseVerdict(median, False, [f"{problem}; {advice}" if advice else problem])
     notes = [f"the poses explain the images: median {median:.2f} px over {len(chosen)} points"]
-    if bad:
-        shown = ", ".join(f"{names[f]} ({_px(e)})" for f, e in list(bad.items())[:5])
-        notes.append(f"the pose of {len(bad)} frames does not fit the others: {shown}")
-    return PoseVerdict(median, bad, notes)
+    return PoseVerdict(median, True, notes)
 
 
 def _px(error: float) -> str:
@@ -241,18 +235,53 @@ def _px(error: float) -> str:
 def _explained(
     known: KnownPoses, tracks: Tracks, camera: Mapping[int, Camera], median: float
 ) -> str:
-    """Name the convention that explains the images, if one does."""
+    """Name the convention or the shift of the list that explains the images, if one does."""
+    found = [_shifted(known, tracks, camera)]
     sample = tracks.sample(_TRACKS_OF_ALTERNATIVE)
-    best: tuple[float, str] | None = None
     for other, advice in known.convention.alternatives(known.filed.kind):
         error = float(np.median(sample.errors(known.poses(other), camera)))
-        if best is None or error < best[0]:
-            best = error, f"{other.title} explains them: {_px(error)}; {advice}"
-    good = best is not None and best[0] <= known.options.cameras_max_px
-    return (
-        best[1]
-        if best is not None
-        and good
-        and best[0] * PoseCheckSettings.current().better_factor < median
-        else ""
-    )
+        found.append((error, f"{other.title} explains them: {_px(error)}; {advice}"))
+    error, text = min(found)
+    good = error <= known.options.cameras_max_px
+    return text if good and error * PoseCheckSettings.current().better_factor < median else ""
+
+
+def refuse_shifted(
+    known: KnownPoses, tracks: Tracks, camera: Mapping[int, Camera], median: float
+) -> None:
+    """Refuse poses that explain the images much better if the list is shifted by one.
+
+    Args:
+        known: the poses.
+        tracks: matched features of the frames with poses.
+        camera: intrinsics by frame id.
+        median: median reprojection error of the poses.
+
+    Raises:
+        ToolkitError: a shift explains the images better; it is named.
+    """
+    error, text = _shifted(known, tracks, camera)
+    if error * PoseCheckSettings.current().better_factor < median:
+        raise ToolkitError(
+            f"these poses do not explain all images: {_px(median)}",
+            path=known.filed.path,
+            hint=text,
+        )
+
+
+def _shifted(known: KnownPoses, tracks: Tracks, camera: Mapping[int, Camera]) -> tuple[float, str]:
+    """Median error of the better shift of the list by one pose, and what it means."""
+    best = _LARGEST_PX, ""
+    for step, when in ((1, "late"), (-1, "early")):
+        poses = known.shifted(step)
+        sample = tracks.among(poses).sample(_TRACKS_OF_ALTERNATIVE)
+        if len(sample) < PoseCheckSettings.current().fewest_tracks:
+            continue
+        error = float(np.median(sample.errors(poses, camera)))
+        side = "next" if step > 0 else "previous"
+        text = (
+            f"the pose of the {side} row explains each image: {_px(error)}; the list is {when} by "
+            f"one image: give each image the pose of the {side} row"
+        )
+        best = min(best, (error, text))
+    return best

@@ -1,7 +1,5 @@
 """Publication of the reconstruction as COLMAP model and points, and change of its scale."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,25 +1,27 @@
 """Reconstruction of all frames in an unknown unit. The result is cached."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pycolmap
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import Camera
 from std_toolkit.io.documents import digest_file, digest_of, read_document, write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions
 from std_toolkit.poses import register
-from std_toolkit.poses.colmap import add_image, from_colmap_camera, quiet_colmap
+from std_toolkit.poses.colmap import (
+    Reconstructed,
+    Reconstruction,
+    add_image,
+    from_colmap_camera,
+    image_id_of,
+    quiet_colmap,
+)
 from std_toolkit.poses.features import (
     FeatureJob,
     choose_keyframes,
@@ -31,10 +33,9 @@ from std_toolkit.poses.features import (
     measure_frames,
     train_vocabulary,
 )
-from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes
+from std_toolkit.poses.mapping import MappingImage, adjust, map_keyframes, unregister_unseen
 from std_toolkit.poses.small_sets import map_small_set, rank_model
-from std_toolkit.scene import CameraModel, Frame, Scene
-from std_toolkit.scene.model import Document
+from std_toolkit.scene import Frame, Scene
 from std_toolkit.settings import changed
 
 # Options that change the model; the other options affect only scale and gates.
@@ -53,58 +54,6 @@ MODEL_OPTIONS = (
     "seed",
     "threads",
 )
-
-
-class Reconstruction(Document, frozen=True, kw_only=True):
-    """Metadata of a cached model.
-
-    Attributes:
-        keyframes: frame ids of the keyframes.
-        camera_ids: COLMAP camera id by camera key.
-        other_sizes: number of images in each smaller model that was dropped.
-        explained: fraction of the matches of neighbouring images that the model explains, if all
-            pairs were matched.
-    """
-
-    keyframes: list[int]
-    camera_ids: dict[str, int]
-    other_sizes: list[int] = msgspec.field(default_factory=list)
-    explained: float | None = None
-
-
-@dataclass(frozen=True)
-class Reconstructed:
-    """A model of all registered frames.
-
-    Attributes:
-        model: pycolmap.Reconstruction; image id = frame id + 1.
-        about: metadata of the model.
-    """
-
-    model: Any
-    about: Reconstruction
-
-    def image_ids(self, frames: Sequence[Frame]) -> dict[int, int]:
-        """Return COLMAP image ids by frame id for the registered frames, in ascending order."""
-        ids = {f.id: image_id_of(f) for f in frames}
-        return {
-            f: i
-            for f, i in ids.items()
-            if self.model.exists_image(i) and self.model.image(i).has_pose
-        }
-
-    def cameras(self) -> dict[str, Camera]:
-        """Return the adjusted intrinsics by camera key."""
-        return {
-            key: from_colmap_camera(self.model.camera(number))
-            for key, number in self.about.camera_ids.items()
-            if self.model.exists_camera(number)
-        }
-
-
-def image_id_of(frame: Frame) -> int:
-    """Return the COLMAP image id of a frame; COLMAP counts from 1."""
-    return frame.id + 1
 
 
 def model_digest(scene: Scene, digests: dict[int, str], options: PoseOptions) -> str:
@@ -368,14 +317,6 @@ def _has_pose(model: Any, frame: Frame) -> bool:
     return bool(model.exists_image(number) and model.image(number).has_pose)
 
 
-def unregister_unseen(model: Any, *, min_points: int) -> None:
-    """Deregister images that have too few points after the bundle adjustment."""
-    for number in list(model.reg_image_ids()):
-        image = model.image(number)
-        if image.num_points3D < min_points:
-            model.deregister_frame(image.frame_id)
-
-
 def _check_absent(model: Any, frame: Frame) -> None:
     """Check that a frame without a pose is not in the model; it would be added twice."""
     if model.exists_image(image_id_of(frame)):
@@ -406,12 +347,3 @@ def _check_texture(
             f"the images have almost no features (median {np.median(counts):.0f} per keyframe)",
             hint="put textured objects into view (a printed cloth is enough), focus, add light",
         )
-
-
-def adjusted_cameras(scene: Scene, done: Reconstructed) -> dict[str, CameraModel]:
-    """Return the adjusted intrinsics that differ from those of scene.json, by camera key."""
-    changed = {}
-    for key, camera in done.cameras().items():
-        if camera != scene.info.cameras[key].camera():
-            changed[key] = CameraModel.of(camera)
-    return changed

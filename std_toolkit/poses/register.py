@@ -81,11 +81,15 @@ class RegistrationJob:
         name: name of its feature file.
         order: position in the recording.
         camera: intrinsics.
+        given: T_cam_world to compare with the pose found, if any.
+        given_px: largest error of the features that are counted for the comparison.
     """
 
     name: str
     order: int
     camera: Camera
+    given: SE3 | None = None
+    given_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +100,13 @@ class Registration:
         T_cam_world: pose, units of the model.
         keypoint: (N,) inlier features of the frame.
         point_ids: (N,) id of the COLMAP point of each feature.
+        explained: number of features that the given pose and this pose explain.
     """
 
     T_cam_world: SE3
     keypoint: NDArray[np.int64]
     point_ids: NDArray[np.int64]
+    explained: tuple[int, int] = (0, 0)
 
 
 def build_index(
@@ -226,7 +232,18 @@ def _register(
     good = error < limits.inlier_px
     if good.sum() < min_points:
         return None
-    return Registration(T_cam_world, keypoint[good], index.point_ids[point[good]])
+    explained = (0, 0)
+    if job.given is not None:
+        given, other = (
+            len(
+                _search(
+                    index, features, chosen, T, job.camera, frame.descriptors, uv, job.given_px
+                )[0]
+            )
+            for T in (job.given, T_cam_world)
+        )
+        explained = given, other
+    return Registration(T_cam_world, keypoint[good], index.point_ids[point[good]], explained)
 
 
 def _candidates(index: MapIndex, order: int, descriptors: NDArray[np.uint8]) -> list[int]:

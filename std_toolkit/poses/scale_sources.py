@@ -8,8 +8,6 @@ z-depth, the distance along the optical axis. Dividing it by the distance from t
 common fields of view.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

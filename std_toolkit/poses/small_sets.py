@@ -6,8 +6,6 @@ or with guided matching, more images are registered on objects of little texture
 poses.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ tags. The steepest place across a straight edge is not moved by a blur, and a wh
 fits one line.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -15,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
+from std_toolkit.arrays import Array, Floats
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
-
-Array = NDArray[np.float64]
 
 # Part of an edge at either end that the neighbouring edge disturbs.
 _ENDS = 0.14
@@ -67,7 +64,7 @@ def edge_corners(grey: NDArray[np.uint8], corners: Array) -> Array:
     return refined
 
 
-def _refined(image: NDArray[np.float32], quad: Array, first: Array) -> Array:
+def _refined(image: Floats, quad: Array, first: Array) -> Array:
     """(4, 2) corners of one tag from lines beside the sides of `quad`."""
     side = float(np.linalg.norm(np.roll(quad, -1, axis=0) - quad, axis=1).min())
     reach = float(np.clip(_REACH_CELLS * side / _CELLS, _SMALLEST_REACH_PX, _REACH_PX))
@@ -88,9 +85,7 @@ def _refined(image: NDArray[np.float32], quad: Array, first: Array) -> Array:
     return out
 
 
-def _edge_line(
-    image: NDArray[np.float32], a: Array, b: Array, middle: Array, reach: float
-) -> Array | None:
+def _edge_line(image: Floats, a: Array, b: Array, middle: Array, reach: float) -> Array | None:
     """(nx, ny, c) of the line n . p = c along the edge from a to b; None if it is not seen."""
     limits = TagEdgeSettings.current()
     along = b - a

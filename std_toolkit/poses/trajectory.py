@@ -1,7 +1,5 @@
 """Export of camera trajectories to the formats of other tools."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,25 +1,22 @@
-"""Choice of the renderer, and detection of a working off-screen GL platform.
+"""Choice of the renderer, detection of a working off-screen GL platform, and its contexts.
 
 A broken GL driver may abort the process that creates a context, so the probe renders a triangle in
 a child process. The result is kept for this process and, in an environment variable, for the
 worker processes that it starts.
 """
 
-from __future__ import annotations
-
+import ctypes
 import os
 import subprocess
 import sys
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
 from std_toolkit.log import logger
 from std_toolkit.rendering.renderer import RENDERERS, Renderer
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
 
 DEFAULT_RENDERER = "pyrender"
 
@@ -138,3 +135,52 @@ def _probe(platform: str) -> str | None:
     problem = lines[-1] if lines else f"exit status {done.returncode}"
     logger.debug("GL probe %s: %s", platform, done.stderr.strip())
     return problem
+
+
+def release_thread(platform: Any) -> None:
+    """Release the context of the thread; Qt cannot make its own current while EGL's is."""
+    from OpenGL import EGL
+
+    EGL.eglMakeCurrent(
+        platform._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+    )
+
+
+def leave_display(platform: Any) -> None:
+    """Destroy only the context; pyrender would also terminate the display, which others use."""
+    from OpenGL import EGL
+
+    if platform._egl_context is not None:
+        release_thread(platform)
+        EGL.eglDestroyContext(platform._egl_display, platform._egl_context)
+    platform._egl_display = platform._egl_context = None
+
+
+def complete_osmesa() -> None:
+    """Add the OSMesa function that pyrender needs to PyOpenGL 3.1.0, which pyrender pins.
+
+    Names and constants are from Mesa's GL/osmesa.h.
+    """
+    from OpenGL import osmesa
+
+    if hasattr(osmesa, "OSMesaCreateContextAttribs"):
+        return
+    from OpenGL import platform
+
+    library = platform.PLATFORM.OSMesa
+    # PyOpenGL uses contexts as dictionary keys, and its pointer type is not hashable.
+    platform.PLATFORM.GetCurrentContext.restype = ctypes.c_void_p
+    create = library.OSMesaCreateContextAttribs
+    create.argtypes = [ctypes.POINTER(ctypes.c_int), ctypes.c_void_p]
+    create.restype = osmesa.OSMesaContext
+
+    def create_context(attributes: Any, shared: Any) -> Any:
+        numbers = [int(n) for n in attributes]
+        return create((ctypes.c_int * len(numbers))(*numbers), shared)
+
+    osmesa.OSMesaCreateContextAttribs = create_context
+    osmesa.OSMESA_DEPTH_BITS = 0x30
+    osmesa.OSMESA_PROFILE = 0x33
+    osmesa.OSMESA_CORE_PROFILE = 0x34
+    osmesa.OSMESA_CONTEXT_MAJOR_VERSION = 0x36
+    osmesa.OSMESA_CONTEXT_MINOR_VERSION = 0x37

@@ -14,17 +14,16 @@ other:
 A hidden pixel is background in every map.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from msgspec.structs import asdict
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.documents import digest_file, digest_of, write_document
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.rendering import choose, ground_truth, maps, mesh, occluders, raycast
@@ -37,11 +36,7 @@ from std_toolkit.rendering.ground_truth import (
 )
 from std_toolkit.rendering.placements import frame_inputs, frame_placements, place_meshes
 from std_toolkit.rendering.renderer import PlacedMesh, Window, image_window, normalised_rays
-from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry import SE3, Camera
 
 
 @dataclass(frozen=True)
@@ -218,49 +213,9 @@ def _object_truth(
     )
 
 
-FEWEST_FRAMES_TO_FUSE = 8
-
-
-def resolve_policy(scene: Scene, wished: Literal["auto"] | Policy) -> Policy:
-    """Return the policy to use; `auto` selects the best one that the data of the scene allow.
-
-    `auto` is `fused` with sensor depth in at least 8 registered frames, `sensor` with fewer if no
-    labelled object is transparent or specular, and otherwise `models`.
-
-    Raises:
-        ToolkitError: the policy needs sensor depth or camera poses that the scene lacks.
-    """
-    with_depth = [f for f in scene.frames if f.depth is not None]
-    registered = [f for f in with_depth if scene.T_world_cam(f.id) is not None]
-    if wished == "auto":
-        materials = {scene.objects.object(x.object).material for x in scene.labels.labels}
-        if len(registered) >= FEWEST_FRAMES_TO_FUSE:
-            return "fused"
-        return "sensor" if with_depth and materials <= {*DIFFUSE_MATERIALS} else "models"
-    if wished == "sensor" and not with_depth:
-        raise ToolkitError(
-            "policy sensor needs sensor depth, and this scene has none",
-            path=scene.root,
-            field="policy",
-            hint="use --policy models",
-        )
-    if wished == "fused" and not registered:
-        raise ToolkitError(
-            "policy fused needs sensor depth in frames with camera poses",
-            path=scene.root,
-            field="policy",
-            hint="use --policy models or sensor",
-        )
-    return wished
-
-
+@lru_cache(maxsize=4)
 def ray_lengths(camera: Camera) -> np.ndarray:
     """Return (H,W) float32 distance from the camera per metre of z, for every pixel."""
-    return _ray_lengths(camera)
-
-
-@lru_cache(maxsize=4)
-def _ray_lengths(camera: Camera) -> np.ndarray:
     x, y = normalised_rays(camera, image_window(camera))
     lengths = np.sqrt(x * x + y * y + 1).astype(np.float32)
     lengths.setflags(write=False)

@@ -28,8 +28,6 @@ pixels; `perf/render.py`):
 - 16-bit PNG of `sparse_png`, which stores objects and deflates the background: 2 ms and 0.97 MB.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

@@ -9,20 +9,18 @@ the table below it: with a depth bias of a few millimetres, the table would othe
 bottom of the object. Small loose pieces are removed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 
-from std_toolkit.geometry.camera import on_depth_step
+from std_toolkit.geometry.camera import Camera, undistort_image
+from std_toolkit.geometry.depth_maps import on_depth_step
 from std_toolkit.geometry.ray_caster import RayCaster, import_open3d
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.geometry.undistortion import undistort_image
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.jobs.artefact import Artefact
@@ -33,9 +31,6 @@ from std_toolkit.rendering.mesh import RenderMesh, prepare_mesh
 from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry.camera import Camera
 
 OCCLUDER_FILE = "gt/occluders.ply"
 _STEP = "render-occluders"

@@ -3,21 +3,15 @@
 The inputs are object and camera poses, camera intrinsics, meshes and the depth scale.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, rotation_angle
 from std_toolkit.io.documents import digest_of
+from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene.model import pose_from_list
 from std_toolkit.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from std_toolkit.rendering.ground_truth import FrameTruth
 
 # Far below the accuracy of a label, far above the rounding of decimal numbers.
 _SAME_M, _SAME_RAD = 1e-6, 1e-6

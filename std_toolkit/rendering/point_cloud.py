@@ -5,16 +5,16 @@ leaves out depth at discontinuities, where points lie between two surfaces. It a
 of many frames in the cells of a voxel grid, in bounded memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, on_depth_step
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.depth_maps import on_depth_step
 from std_toolkit.geometry.ray_caster import import_open3d
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.rendering.renderer import image_window, normalised_rays
@@ -52,7 +52,7 @@ class FusedCloud:
         missing: fraction of the pixels of `frames` without depth, 0 to 1.
     """
 
-    points: NDArray[np.float32]
+    points: Floats
     colors: NDArray[np.uint8]
     voxel_m: float
     frames: tuple[int, ...]
@@ -64,9 +64,7 @@ class FusionCancelled(Exception):
     """`cancel` of the caller returned True."""
 
 
-def frame_cloud(
-    scene: Scene, frame: Frame, *, stride: int = 1
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def frame_cloud(scene: Scene, frame: Frame, *, stride: int = 1) -> tuple[Floats, NDArray[np.uint8]]:
     """Return the point cloud of one frame.
 
     Args:
@@ -151,7 +149,7 @@ def fuse_clouds(
     )
 
 
-def sparse_points(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint8]] | None:
+def sparse_points(scene: Scene) -> tuple[Array, NDArray[np.uint8]] | None:
     """Read the points of the reconstruction (poses/points.ply); None if there are none.
 
     Returns:
@@ -175,9 +173,7 @@ def sparse_points(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.uint8]]
     return xyz[good], (255 * rgb[good]).round().astype(np.uint8)
 
 
-def _points(
-    depth: NDArray[np.float32], camera: Camera, stride: int
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _points(depth: Floats, camera: Camera, stride: int) -> tuple[Floats, Mask]:
     """Camera-frame points (h, w, 3) of every stride-th pixel, and where depth was measured."""
     x, y = normalised_rays(camera, image_window(camera))
     z = depth[_part(stride)]
@@ -189,7 +185,7 @@ def _points(
     return points, z > 0
 
 
-def _moved(T: SE3, points: NDArray[np.float32]) -> NDArray[np.float32]:
+def _moved(T: SE3, points: Floats) -> Floats:
     # Written out, because a threaded product of N x 3 with 3 x 3 mostly waits for its threads.
     R, t = T.R.astype(np.float32), T.t.astype(np.float32)
     x, y, z = points.T
@@ -202,7 +198,7 @@ def _part(stride: int) -> tuple[slice, slice]:
     return slice(None, None, stride), slice(None, None, stride)
 
 
-def _stride(depth: NDArray[np.float32], camera: Camera, voxel_m: float) -> int:
+def _stride(depth: Floats, camera: Camera, voxel_m: float) -> int:
     """Step for two pixels per voxel edge at the median depth; more would not change the means."""
     measured = depth[::8, ::8]
     measured = measured[measured > 0]
@@ -212,7 +208,7 @@ def _stride(depth: NDArray[np.float32], camera: Camera, voxel_m: float) -> int:
     return int(np.clip(pixels / 2, 1, 8))
 
 
-def _required_depth(scene: Scene, frame: Frame) -> NDArray[np.float32]:
+def _required_depth(scene: Scene, frame: Frame) -> Floats:
     depth = scene.read_depth(frame)
     if depth is None:
         raise ToolkitError(
@@ -256,13 +252,13 @@ class VoxelGrid:
         self._keys = np.zeros(0, np.int64)
         # Sums of x y z r g b, and the number of points.
         self._sums = np.zeros((0, 7))
-        self._pending: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
+        self._pending: list[tuple[NDArray[np.int64], Array]] = []
 
     def __len__(self) -> int:
         self._settle()
         return len(self._keys)
 
-    def add(self, points: NDArray[np.floating], colors: NDArray[np.uint8]) -> NDArray[np.float64]:
+    def add(self, points: NDArray[np.floating], colors: NDArray[np.uint8]) -> Array:
         """Add the points (N, 3), metres, and colours (N, 3) of one frame.
 
         Returns:
@@ -284,13 +280,13 @@ class VoxelGrid:
         while len(self) > self._limit:
             self._coarsen()
 
-    def keep(self, chosen: NDArray[np.bool_]) -> None:
+    def keep(self, chosen: Mask) -> None:
         """Drop the cells that are not chosen (one flag per cell)."""
         self._settle()
         self._keys, self._sums = self._keys[chosen], self._sums[chosen]
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Array:
         """(N, 3) mean position per cell, metres; in the order of the cells."""
         self._settle()
         return self._sums[:, :3] / self._sums[:, 6:7]
@@ -332,7 +328,7 @@ class MultiViewCells:
         self._twice = np.union1d(self._twice, again)
         self._once = np.union1d(self._once, keys)
 
-    def holds(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def holds(self, points: NDArray[np.floating]) -> Mask:
         """Return (N,) whether each point (N, 3) is in such a cell."""
         return np.isin(cell_keys(points, self._voxel_m), self._twice)
 
@@ -344,9 +340,7 @@ def cell_keys(points: NDArray[np.floating], voxel_m: float) -> NDArray[np.int64]
     return (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
 
 
-def _summed(
-    keys: NDArray[np.int64], rows: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _summed(keys: NDArray[np.int64], rows: Array) -> tuple[NDArray[np.int64], Array]:
     unique, inverse = np.unique(keys, return_inverse=True)
     index = inverse.reshape(-1)
     columns = [np.bincount(index, column, minlength=len(unique)) for column in rows.T]

@@ -18,20 +18,23 @@ The context belongs to the thread that created it and is reused for every window
 
 from __future__ import annotations
 
-import ctypes
 import os
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.rendering.choose import find_gl, loaded_platform
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.rendering.choose import (
+    complete_osmesa,
+    find_gl,
+    leave_display,
+    loaded_platform,
+    release_thread,
+)
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.renderer import NEAR_M, Raster, Window, check_no_distortion, depth_range
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry import SE3, Camera
 
 _KEPT_MESHES = 64
 _LARGEST_TILE = 2048
@@ -126,7 +129,7 @@ class GlCanvas:
             )
         os.environ["PYOPENGL_PLATFORM"] = platform
         if platform == "osmesa":
-            _complete_osmesa()
+            complete_osmesa()
         import pyrender
 
         self._resizable = platform == "egl"
@@ -213,8 +216,8 @@ class GlCanvas:
         if os.environ["PYOPENGL_PLATFORM"] == "egl":
             _draw_one_sample(renderer._renderer)
             platform = renderer._platform
-            platform.delete_context = lambda: _leave_display(platform)
-            platform.make_uncurrent = lambda: _release_thread(platform)
+            platform.delete_context = lambda: leave_display(platform)
+            platform.make_uncurrent = lambda: release_thread(platform)
         return renderer
 
     def _is_lost(self) -> bool:
@@ -305,52 +308,3 @@ def _own_shaders() -> Any:
             return self._program_cache["own"]
 
     return Programs()
-
-
-def _release_thread(platform: Any) -> None:
-    """Release the context of the thread; Qt cannot make its own current while EGL's is."""
-    from OpenGL import EGL
-
-    EGL.eglMakeCurrent(
-        platform._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
-    )
-
-
-def _leave_display(platform: Any) -> None:
-    """Destroy only the context; pyrender would also terminate the display, which others use."""
-    from OpenGL import EGL
-
-    if platform._egl_context is not None:
-        _release_thread(platform)
-        EGL.eglDestroyContext(platform._egl_display, platform._egl_context)
-    platform._egl_display = platform._egl_context = None
-
-
-def _complete_osmesa() -> None:
-    """Add the OSMesa function that pyrender needs to PyOpenGL 3.1.0, which pyrender pins.
-
-    Names and constants are from Mesa's GL/osmesa.h.
-    """
-    from OpenGL import osmesa
-
-    if hasattr(osmesa, "OSMesaCreateContextAttribs"):
-        return
-    from OpenGL import platform
-
-    library = platform.PLATFORM.OSMesa
-    # PyOpenGL uses contexts as dictionary keys, and its pointer type is not hashable.
-    platform.PLATFORM.GetCurrentContext.restype = ctypes.c_void_p
-    create = library.OSMesaCreateContextAttribs
-    create.argtypes = [ctypes.POINTER(ctypes.c_int), ctypes.c_void_p]
-    create.restype = osmesa.OSMesaContext
-
-    def create_context(attributes: Any, shared: Any) -> Any:
-        numbers = [int(n) for n in attributes]
-        return create((ctypes.c_int * len(numbers))(*numbers), shared)
-
-    osmesa.OSMesaCreateContextAttribs = create_context
-    osmesa.OSMESA_DEPTH_BITS = 0x30
-    osmesa.OSMESA_PROFILE = 0x33
-    osmesa.OSMESA_CORE_PROFILE = 0x34
-    osmesa.OSMESA_CONTEXT_MAJOR_VERSION = 0x36
-    osmesa.OSMESA_CONTEXT_MINOR_VERSION = 0x37

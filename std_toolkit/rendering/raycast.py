@@ -5,19 +5,14 @@ the rays. Ray directions have z = 1 in the camera frame, so the distance that Em
 z-depth.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.rendering.mesh import RenderMesh
 from std_toolkit.rendering.renderer import NEAR_M, Raster, Window, normalised_rays
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry import SE3, Camera
 
 _KEPT_STRUCTURES = 64
 

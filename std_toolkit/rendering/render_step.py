@@ -1,7 +1,5 @@
 """`std-curate render`: ground truth for every labelled frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Literal
@@ -13,6 +11,7 @@ from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.log import logger
 from std_toolkit.options import RenderOptions
 from std_toolkit.rendering import choose, frame, ground_truth, occluders, placements
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.scene.scene import Scene
 
 
@@ -48,7 +47,7 @@ def render_ground_truth(
             raise ToolkitError("frames without a labelled object", path=scene.root, value=strangers)
     wanted = labelled if frames is None else sorted(set(frames))
     cameras = {scene.camera(scene.frame(f)) for f in wanted}
-    policy = frame.resolve_policy(scene, options.policy)
+    policy = resolve_policy(scene, options.policy)
     models = sorted(
         {
             scene.objects.object(o).model
@@ -103,3 +102,41 @@ def _remove_stale(scene: Scene, labelled: set[int], policy: ground_truth.Policy)
         logger.warning("removed ground truth of %d frames that lost their labels", len(stale))
     if policy != "fused":
         (scene.root / occluders.OCCLUDER_FILE).unlink(missing_ok=True)
+
+
+FEWEST_FRAMES_TO_FUSE = 8
+
+
+def resolve_policy(
+    scene: Scene, wished: Literal["auto"] | ground_truth.Policy
+) -> ground_truth.Policy:
+    """Return the policy to use; `auto` selects the best one that the data of the scene allow.
+
+    `auto` is `fused` with sensor depth in at least 8 registered frames, `sensor` with fewer if no
+    labelled object is transparent or specular, and otherwise `models`.
+
+    Raises:
+        ToolkitError: the policy needs sensor depth or camera poses that the scene lacks.
+    """
+    with_depth = [f for f in scene.frames if f.depth is not None]
+    registered = [f for f in with_depth if scene.T_world_cam(f.id) is not None]
+    if wished == "auto":
+        materials = {scene.objects.object(x.object).material for x in scene.labels.labels}
+        if len(registered) >= FEWEST_FRAMES_TO_FUSE:
+            return "fused"
+        return "sensor" if with_depth and materials <= {*DIFFUSE_MATERIALS} else "models"
+    if wished == "sensor" and not with_depth:
+        raise ToolkitError(
+            "policy sensor needs sensor depth, and this scene has none",
+            path=scene.root,
+            field="policy",
+            hint="use --policy models",
+        )
+    if wished == "fused" and not registered:
+        raise ToolkitError(
+            "policy fused needs sensor depth in frames with camera poses",
+            path=scene.root,
+            field="policy",
+            hint="use --policy models or sensor",
+        )
+    return wished

@@ -4,8 +4,6 @@ A frame has some 100,000 pixels of objects, and in numpy each intermediate array
 much time as its sums.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from std_toolkit.compiled import compiled

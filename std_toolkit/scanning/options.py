@@ -1,10 +1,8 @@
 """Options of `std-scan`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -104,3 +102,15 @@ class ScanOptions:
         if first.name != second.name:
             return first.name, second.name
         return f"{first.parent.name}/{first.name}", f"{second.parent.name}/{second.name}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardCommand:
+    """Make the board that the object stands on: a PDF to print at 100 %, and its description."""
+
+    out: Path = field(metadata={"option": "out"})
+    """PDF file; the description has the same name with the suffix .json"""
+    paper: Literal["a4", "a3"] = "a4"
+    """size of the sheet"""
+    first_id: int = 0
+    """id of the first tag; boards that are used side by side need different ids"""

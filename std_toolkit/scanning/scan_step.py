@@ -1,7 +1,5 @@
 """The scan: photos to poses, masks, depth maps, a closed surface, texture, files and report."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.documents import digest_file, digest_of
@@ -24,7 +23,7 @@ from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos import photos as photo_files
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.video import is_video, sample_video
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.surface.depth_maps import ENGINES, DepthEngine
 from std_toolkit.scanning.surface.measured_surface import (
     Side,
@@ -320,9 +319,7 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
     )  # fmt: skip
 
 
-def _undistorted(
-    found: Array, photos: photo_files.Photos, camera: Camera
-) -> dict[str, NDArray[np.float64]]:
+def _undistorted(found: Array, photos: photo_files.Photos, camera: Camera) -> dict[str, Array]:
     """Corners of the board (N, 2) by the name of the photo, in pixels of its undistorted image."""
     flat = camera.without_distortion()
     return {
@@ -354,7 +351,7 @@ def _vessel_of_masks(views: Sequence[View], wall_m: float | None = None) -> Revo
 
 def _revolved(
     found: RevolvedSurface, posed: PosedPhotos
-) -> tuple[Array, NDArray[np.int64], NDArray[np.float32]]:
+) -> tuple[Array, NDArray[np.int64], Floats]:
     """Vertices and faces of a surface of revolution; no depth supports it."""
     posed.facts["outline residual"] = f"{found.outline_px:.2f} px"
     posed.facts["outline left out"] = f"{100 * found.outside:.1f} %"

@@ -3,8 +3,6 @@
 The exporters need only this part of the report, which they read without the checks.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import msgspec

@@ -1,7 +1,5 @@
 """Strict documents of a scene, and names that are safe in file paths."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import InvalidDocument
 
@@ -74,12 +72,8 @@ def check_pose(numbers: list[float] | None, field: str) -> None:
     """
     if numbers is None:
         return
-    try:
+    with located(None, field):
         SE3.from_matrix(numbers)
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, field=field, value=error.value, hint=error.hint
-        ) from error
 
 
 def check_unique(values: list[str], table: str, field: str) -> None:

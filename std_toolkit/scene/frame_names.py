@@ -4,8 +4,6 @@ Ids count the frames of a scene, file names often have numbers of their own: fra
 `color/000036.jpg`. A number that means two frames is refused.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

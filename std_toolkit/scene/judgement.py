@@ -1,7 +1,5 @@
 """What the judge says of a label, and the evidence for it, as stored with the label."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import Camera, check_depth_unit
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.depth_maps import check_depth_unit
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import atomic, documents, images
 from std_toolkit.io.documents import digest_file

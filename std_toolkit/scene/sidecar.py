@@ -5,8 +5,6 @@ metric scale or the occlusion policy. Loaders of those layouts ignore this file;
 it, so that an export can be converted back to a scene.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

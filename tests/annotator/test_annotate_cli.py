@@ -93,7 +93,7 @@ def test_the_token_may_come_from_the_environment(
 ) -> None:
     given = []
     app = types.SimpleNamespace(run=lambda args: given.append(args.token) or 0)
-    monkeypatch.setattr(cli, "_front_end", lambda *_: app)
+    monkeypatch.setattr(cli, "front_end", lambda *_: app)
     monkeypatch.setenv("STD_ANNOTATE_TOKEN", "from the environment")
     scene = str(write_scene(tmp_path / "scene").root)
     assert main([scene, "--web", "0"]) == 0

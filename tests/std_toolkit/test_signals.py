@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from std_toolkit.cli.interrupt import ended_by_signals
+from std_toolkit.jobs.interrupt import ended_by_signals
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +28,7 @@ def within_a_library():  # Python handles no signal before it returns
 
 def after_pycolmap():  # its log library handles SIGTERM by itself
     import pycolmap
-    from std_toolkit.cli.interrupt import keep_handlers
+    from std_toolkit.jobs.interrupt import keep_handlers
     keep_handlers()
     print("imported", flush=True)
     loop()
@@ -91,7 +91,7 @@ def unloading_crashes():
     time.sleep(60)
 
 def a_module_loads():  # which may neither be interrupted nor go on for long
-    from std_toolkit.cli.interrupt import whole_imports
+    from std_toolkit.jobs.interrupt import whole_imports
     with whole_imports():
         try:
             print("imports started", flush=True)

@@ -16,7 +16,7 @@ from benchmark.data.frame import resize_nearest
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.options import usable_cores
+from std_toolkit.options import usable_cores
 from std_toolkit.plugins import configured
 
 INPUTS = ("color", "depth")

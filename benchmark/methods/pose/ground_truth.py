@@ -15,7 +15,7 @@ from benchmark.methods.protocol import Estimated, PoseView
 from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.pose.pose_frames import PosePrediction
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.camera import unproject_depth
+from std_toolkit.geometry.depth_maps import unproject_depth
 from std_toolkit.plugins import configured
 
 _FEWEST_POINTS = 4

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.importers.bop_documents import (
     filed_pose,
     first_bad_pose,
-    named,
     unchecked_pose,
 )
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -96,7 +95,7 @@ def read_bop_results(path: Path | str) -> list[BopEstimate]:
     poses = [e.T_cam_obj for e in estimates]
     bad = first_bad_pose([T.R for T in poses], [T.t for T in poses])
     if bad is not None:
-        with named(path, f"line {numbers[bad]}, R or t"):
+        with located(path, f"line {numbers[bad]}, R or t"):
             filed_pose(poses[bad].R, poses[bad].t * _MM)
     return estimates
 

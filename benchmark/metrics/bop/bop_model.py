@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.metrics.bop.bop_distances import ModelDistances
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.mesh import (
     LARGEST_EXTENT_M,
@@ -85,7 +85,7 @@ def read_model(root: Path, obj_id: int, *, symmetry_steps: int | None = None) ->
         read_document(info_path, dict[str, bop_documents.ModelInfo]) if info_path.is_file() else {}
     )
     info = infos.get(str(obj_id))
-    with bop_documents.named(info_path, str(obj_id)):
+    with located(info_path, str(obj_id)):
         symmetry: Symmetry = bop_objects.symmetry_of(info, np.zeros(3)).symmetry()
     vertices = read_vertices(path)
     hull = hull_points(vertices)

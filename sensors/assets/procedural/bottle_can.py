@@ -8,14 +8,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensors.assets.procedural import solids
+from std_toolkit.arrays import Array
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold
 
-Array = NDArray[np.float64]
 
 BOTTLE_PLANS = ("bordeaux", "longneck", "soda", "sports", "milk", "lotion", "flask", "squeeze")
 

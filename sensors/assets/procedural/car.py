@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensors.assets.procedural import solids
+from std_toolkit.arrays import Array
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold
 
-Array = NDArray[np.float64]
 PLANS = ("sedan", "hatchback", "suv", "pickup", "van", "coupe")
 
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from std_toolkit.commands import LabelCommand
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh, mesh_bounds
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.labels.entry import label, pnp, pose_image, posefile, symmetry_argument
 from std_toolkit.log import logger
-from std_toolkit.options import LabelCommand
 from std_toolkit.scene import Frame, Scene, SymmetryModel
 from std_toolkit.scene.document import check_name, safe_name
 from std_toolkit.scene.frame_names import frame_title

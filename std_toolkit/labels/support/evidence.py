@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry.camera import Camera, on_depth_step
+from std_toolkit.geometry.camera import Camera
+from std_toolkit.geometry.depth_maps import on_depth_step
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.labels.support.plane import Plane
 from std_toolkit.labels.support.solid import PlacedObject

@@ -4,8 +4,6 @@ The corners are fixed points of known size, so poses and intrinsics are metric a
 the board. Features that contradict the board are left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The printed board in photos: its corners, the camera's intrinsics, the pose of one photo."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

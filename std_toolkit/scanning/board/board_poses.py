@@ -5,8 +5,6 @@ the frame of the board. On a turntable, the board turns with the object: feature
 background contradict the board and are left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

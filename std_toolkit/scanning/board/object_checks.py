@@ -1,7 +1,5 @@
 """What photos on the board tell of the object early: whether it moved, and whether it is clear."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Features of one object lie in a box with this margin.

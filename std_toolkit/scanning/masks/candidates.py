@@ -1,7 +1,5 @@
 """What stands on the table: parts of a coarse hull, or clusters of triangulated features."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from std_toolkit.arrays import Array, Mask
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.hull import surface_of
 from std_toolkit.scanning.masks.table_comparison import Comparison, compare
 from std_toolkit.scanning.masks.table_model import model_tables
-from std_toolkit.scanning.photos.views import Array, Grid, Mask, View, in_threads
+from std_toolkit.scanning.photos.views import Grid, View, in_threads
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Voxels of the first, coarse hull.

@@ -1,16 +1,15 @@
 """Visual hull of the masks as a signed distance on a grid of voxels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.compiled import compiled
 from std_toolkit.geometry.ray_caster import import_open3d
-from std_toolkit.scanning.photos.views import Array, Grid, Mask, View, in_threads
+from std_toolkit.scanning.photos.views import Grid, View, in_threads
 
 # Signed distances to outlines are kept in steps of 1/32 pixel.
 _STEPS = 32.0
@@ -31,9 +30,7 @@ def outline_distance(mask: Mask) -> NDArray[np.int16]:
     return np.asarray(np.clip(np.rint(signed * _STEPS), -32000, 32000), dtype=np.int16)
 
 
-def hull_field(
-    views: Sequence[View], grid: Grid, *, allowed: int = 0, threads: int = 1
-) -> NDArray[np.float32]:
+def hull_field(views: Sequence[View], grid: Grid, *, allowed: int = 0, threads: int = 1) -> Floats:
     """Signed distance to the visual hull, metres, positive outside.
 
     Args:
@@ -110,7 +107,7 @@ def _carve(  # type: ignore[no-untyped-def]
                     field[k, j, i] = largest[allowed]
 
 
-def surface_of(field: NDArray[np.float32], grid: Grid) -> tuple[Array, NDArray[np.int64]]:
+def surface_of(field: Floats, grid: Grid) -> tuple[Array, NDArray[np.int64]]:
     """Closed zero surface of a field that is negative inside: vertices (V, 3), faces (F, 3).
 
     The border of the grid counts as outside, so the surface is closed.

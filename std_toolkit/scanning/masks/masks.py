@@ -1,7 +1,5 @@
 """Masks of the object without a network: GrabCut per photo, made consistent by the visual hull."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from std_toolkit.arrays import Array, Mask
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.log import logger
 from std_toolkit.scanning.masks.hull import hull_field, largest_component, surface_of
-from std_toolkit.scanning.photos.views import Array, Grid, Mask, View, in_threads
+from std_toolkit.scanning.photos.views import Grid, View, in_threads
 from std_toolkit.scanning.photos.visibility import hull_depth
 
 

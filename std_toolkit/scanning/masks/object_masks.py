@@ -1,7 +1,5 @@
 """Masks of the object in the photos: the user's, or found on the table or before the border."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

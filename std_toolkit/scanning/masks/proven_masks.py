@@ -6,14 +6,13 @@ shows the object. Only what is left is decided by colour: where no table is know
 as at the feet of the object, and before a wall.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
+from std_toolkit.arrays import Mask
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.candidates import Candidate
 from std_toolkit.scanning.masks.masks import (
@@ -27,7 +26,7 @@ from std_toolkit.scanning.masks.masks import (
     with_hidden,
 )
 from std_toolkit.scanning.masks.table_comparison import Comparison
-from std_toolkit.scanning.photos.views import Mask, View, in_threads
+from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 

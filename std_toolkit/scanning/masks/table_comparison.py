@@ -1,17 +1,15 @@
 """A photo against the table on which all photos agree: bare table, or something before it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.scanning.masks.table_model import TableModel, TableModelSettings
-from std_toolkit.scanning.photos.views import Array, Mask, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 
@@ -66,7 +64,7 @@ def compare(view: View, tables: Sequence[TableModel], index: int) -> Comparison:
     return Comparison(clear, known & (off > 2), known, beyond)
 
 
-def deviation(view: View, tables: Sequence[TableModel], index: int) -> NDArray[np.float32]:
+def deviation(view: View, tables: Sequence[TableModel], index: int) -> Floats:
     """(H, W) difference of a photo from the table, in parts of the table's width.
 
     It is 0 for any colour that the table has within about a pixel, and NaN where no table is
@@ -80,9 +78,7 @@ def deviation(view: View, tables: Sequence[TableModel], index: int) -> NDArray[n
     return _against(view, tables, index)[0]
 
 
-def _against(
-    view: View, tables: Sequence[TableModel], index: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
+def _against(view: View, tables: Sequence[TableModel], index: int) -> tuple[Floats, Floats, Mask]:
     """(H, W) difference as in `deviation`, contrast of the table within about a pixel, and pixels
     whose rays meet neither the known table nor the first one."""
     (off, textured, met), *others = (_deviation(view, table, index) for table in tables)
@@ -118,9 +114,7 @@ def _seen(view: View, table: TableModel) -> tuple[int, int]:
     return cells, 2 * max(2, round(cells * table.cell / pixel / 2)) + 1
 
 
-def _deviation(
-    view: View, table: TableModel, index: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
+def _deviation(view: View, table: TableModel, index: int) -> tuple[Floats, Floats, Mask]:
     rays, steep = _rays(view)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = -view.centre[2] / rays[..., 2]

@@ -4,8 +4,6 @@ A point of the table is seen by some photos and hidden by the object in others. 
 agree closely, shadows that rest on it included, and those that see the object do not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.scanning.photos.views import Array, Mask, View
+from std_toolkit.arrays import Array, Floats, Mask
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _CELL_M = 0.001
@@ -95,10 +94,10 @@ class TableModel:
 
     low: Array
     cell: float
-    color: NDArray[np.float32]
+    color: Floats
     seen: Mask
     known: Mask
-    gains: NDArray[np.float32]
+    gains: Floats
     width: float
 
 
@@ -181,7 +180,7 @@ def model_table(
     return TableModel(low, cell, colors, enough, known, gains, width)
 
 
-def _gain(ratios: NDArray[np.float32]) -> NDArray[np.float32]:
+def _gain(ratios: Floats) -> Floats:
     """(3,) exposure of a photo from the ratios (N, 3) of its colours to those of the table.
 
     The median, unless an object hides most of the board from a low camera: then that of the third
@@ -217,11 +216,11 @@ def _of_the_table(known: Mask, corners: Array) -> Mask:
 
 
 def _continue(
-    color: NDArray[np.float32],
+    color: Floats,
     known: Mask,
     samples: NDArray[np.uint8],
     shown: Mask,
-    gains: NDArray[np.float32],
+    gains: Floats,
     usual: float,
 ) -> None:
     """Continue a table under the object in place, from known cells inwards.
@@ -272,9 +271,7 @@ def is_table(model: TableModel) -> bool:
     return bool(model.known.sum() > TableModelSettings.current().at_rest * model.seen.sum())
 
 
-def _agreed(
-    samples: NDArray[np.uint8], seen: Mask, gains: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _agreed(samples: NDArray[np.uint8], seen: Mask, gains: Floats) -> tuple[Floats, Floats]:
     """Colour (N, 3) on which photos of each cell agree best, and their spread (N,) about it.
 
     It is the mean of the half, or of the third if that agrees better, that differs least. The
@@ -315,8 +312,8 @@ def _agreed(
 
 
 def _narrowest(
-    grey: NDArray[np.float32], n: NDArray[np.int64], share: float, allowed: Mask
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+    grey: Floats, n: NDArray[np.int64], share: float, allowed: Mask
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
     """First, end and width (N,) of the share of sorted values (V, N) that differs least.
 
     Args:

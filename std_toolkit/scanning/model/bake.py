@@ -1,7 +1,5 @@
 """Texture of a mesh from the photos: atlas, exposure compensation, blending."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,10 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.compiled import compiled
 from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.geometry.ray_caster import RayCaster, import_open3d
-from std_toolkit.scanning.photos.views import Array, View, in_threads
+from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.scanning.photos.visibility import depth_of, seen_from, vertex_normals
 
 # The best photo of a texel dominates: the mean of many is blurred by errors of the poses.
@@ -31,10 +30,10 @@ class Texture:
         gains: (V, 3) exposure of each photo relative to the texture.
     """
 
-    uv: NDArray[np.float64]
+    uv: Array
     image: NDArray[np.uint8]
     seen: NDArray[np.int64]
-    gains: NDArray[np.float64]
+    gains: Array
 
 
 def bake_texture(
@@ -99,9 +98,7 @@ def bake_texture(
     return Texture(uv, _spread(image, filled), seen, gains)
 
 
-def unwrap(
-    vertices: Array, faces: NDArray[np.int64], size: int, threads: int = 1
-) -> NDArray[np.float64]:
+def unwrap(vertices: Array, faces: NDArray[np.int64], size: int, threads: int = 1) -> Array:
     """(F, 3, 2) texture coordinates by Open3D's UVAtlas."""
     o3d = import_open3d()
 
@@ -128,7 +125,7 @@ def vertex_colors(count: int, faces: NDArray[np.int64], texture: Texture) -> NDA
 
 def exposures(
     places: Array, normals: Array, views: Sequence[View], caster: RayCaster, threads: int
-) -> NDArray[np.float64]:
+) -> Array:
     """(V, 3) brightness of each photo relative to the mean of those that show the same places."""
     step = max(1, len(places) // 6000)
     places, normals = places[::step], normals[::step]
@@ -154,7 +151,7 @@ def _face_normals(corners: Array) -> Array:
     return np.asarray(n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-20))
 
 
-def _rasterise(uv: NDArray[np.float64], size: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+def _rasterise(uv: Array, size: int) -> tuple[NDArray[np.int64], Floats]:
     """Face (size, size), -1 for none, and barycentric weights (size, size, 2) of every texel."""
     face = np.full((size, size), -1, np.int64)
     weights = np.zeros((size, size, 2), np.float32)
@@ -193,7 +190,7 @@ def _fill_faces(uv, face, weights) -> None:  # type: ignore[no-untyped-def]
                 weights[y, x, 1] = c
 
 
-def _spread(image: NDArray[np.uint8], filled: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _spread(image: NDArray[np.uint8], filled: Mask) -> NDArray[np.uint8]:
     """Empty texels take the colour of the nearest filled one."""
     if not filled.any():
         return image
@@ -209,7 +206,7 @@ def _spread(image: NDArray[np.uint8], filled: NDArray[np.bool_]) -> NDArray[np.u
 
 def rendered(
     view: View, mesh_caster: RayCaster, texture: Texture
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.uint8], Mask]:
     """The textured mesh as the camera of a view sees it, RGB, and where it is seen."""
     from std_toolkit.rendering.texture import SurfaceColors
 

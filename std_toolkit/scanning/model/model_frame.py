@@ -5,25 +5,20 @@ handle of a mug is on the side of +x. Other objects turn so that the smallest up
 them is along the axes, its longer side along x.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import symmetry_words
+from std_toolkit.geometry.symmetry_search import DetectedSymmetry
 from std_toolkit.io.documents import write_document
-from std_toolkit.scanning.photos.views import Array
+from std_toolkit.scanning.model.bake import Texture
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
-
-if TYPE_CHECKING:
-    from std_toolkit.geometry.symmetry_search import DetectedSymmetry
-    from std_toolkit.scanning.model.bake import Texture
 
 SYMMETRY_FILE = "symmetry.json"
 

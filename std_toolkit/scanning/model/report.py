@@ -1,7 +1,5 @@
 """The report of a scan: photos beside the re-rendered mesh, errors, coverage, scale."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A scanned model, and its files: OBJ with MTL and PNG, GLB, PLY, all in metres."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import write_png
 from std_toolkit.scanning.model.bake import Texture, vertex_colors
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

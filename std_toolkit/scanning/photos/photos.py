@@ -1,7 +1,5 @@
 """The photos of a scan: of a folder or an RGB-D scene, reduced, their sharpness and cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

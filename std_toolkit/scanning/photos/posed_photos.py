@@ -1,12 +1,11 @@
 """Photos of a scan with camera poses, as its stages pass them on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
+from std_toolkit.arrays import Array
 from std_toolkit.scanning.photos.photos import Photos
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,7 +1,5 @@
 """A video as photos: sharp frames, spread evenly over what the camera saw."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path

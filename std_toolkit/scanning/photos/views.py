@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.geometry import SE3, Camera
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -39,7 +38,7 @@ class View:
     T_world_cam: SE3
     mask: Mask | None = None
     hidden: Mask | None = None
-    sensor: NDArray[np.float32] | None = None
+    sensor: Floats | None = None
 
     @property
     def P(self) -> Array:
@@ -69,7 +68,7 @@ class View:
         local = self.T_world_cam.inverse() @ points
         return self.camera.project(local), local[:, 2]
 
-    def grey(self) -> NDArray[np.float32]:
+    def grey(self) -> Floats:
         """(H, W) grey values, 0 to 255."""
         return cv2.cvtColor(self.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
 
@@ -111,7 +110,7 @@ class Grid:
         low = np.asarray(self.origin, np.float64)
         return low, low + np.array(self.shape[::-1]) * self.step
 
-    def at(self, values: NDArray[np.float32], points: Array) -> NDArray[np.float32]:
+    def at(self, values: Floats, points: Array) -> Floats:
         """Values (N,) of the voxels interpolated at world points (N, 3)."""
         from scipy.ndimage import map_coordinates
 

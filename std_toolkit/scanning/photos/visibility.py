@@ -1,7 +1,5 @@
 """What a photo shows of a surface: depth, normals, and the colours of places on it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import Settings, limit
 
 
@@ -24,7 +23,7 @@ class VisibilitySettings(Settings):
 
 def hull_depth(
     view: View, caster: RayCaster, offset: Array, window: tuple[int, int, int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Floats, Floats]:
     """z-depth (h, w), 0 beside the surface, and normals (h, w, 3) in the camera frame.
 
     Args:
@@ -47,7 +46,7 @@ def hull_depth(
     return depth, normal
 
 
-def depth_of(view: View, caster: RayCaster) -> NDArray[np.float32]:
+def depth_of(view: View, caster: RayCaster) -> Floats:
     """(H, W) z-depth of the surface, the furthest of 3x3 pixels; infinite beside it."""
     whole = (0, 0, view.camera.width, view.camera.height)
     depth, _ = hull_depth(view, caster, np.zeros(3), whole)
@@ -55,9 +54,7 @@ def depth_of(view: View, caster: RayCaster) -> NDArray[np.float32]:
     return np.asarray(cv2.dilate(far, np.ones((3, 3), np.uint8)), np.float32)
 
 
-def seen_from(
-    view: View, places: Array, normals: Array, depth: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def seen_from(view: View, places: Array, normals: Array, depth: Floats) -> tuple[Array, Array]:
     """Colours (N, 3) of places in a photo and weights (N,), 0 where it does not show them."""
     limits = VisibilitySettings.current()
     uv, z = view.project(places)
@@ -97,13 +94,13 @@ def vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     return np.asarray(out / (np.linalg.norm(out, axis=1, keepdims=True) + 1e-20))
 
 
-def _soft_mask(view: View) -> NDArray[np.float32]:
+def _soft_mask(view: View) -> Floats:
     shown = view.shown if view.hidden is None else view.shown & ~view.hidden
     distance = cv2.distanceTransform(shown.astype(np.uint8), cv2.DIST_L2, 3)
     return np.clip((distance - 1.0) / 4.0, 0, 1).astype(np.float32)
 
 
-def _sample(image: Any, x: NDArray[np.float32], y: NDArray[np.float32]) -> Array:
+def _sample(image: Any, x: Floats, y: Floats) -> Array:
     # OpenCV's maps have at most 32767 rows.
     columns = 4096
     count = len(x)

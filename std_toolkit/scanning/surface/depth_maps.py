@@ -1,7 +1,5 @@
 """Depth maps of the photos of a scan: neighbouring photos, the hull as a start, two resolutions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -10,9 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.plugins import Registry
-from std_toolkit.scanning.photos.views import Array, View, in_threads
+from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.scanning.photos.visibility import hull_depth
 from std_toolkit.scanning.surface.patch_match import Map, match
 from std_toolkit.settings import Settings, limit

@@ -4,16 +4,15 @@ Outlines fill a vessel up to its rim and leave a flat cone above it, for rays ov
 steeper than the photos look. With the thickness of the wall, the inside follows from the outside.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from std_toolkit.arrays import Mask
 from std_toolkit.scanning.masks.hull import column_tops
-from std_toolkit.scanning.photos.views import Grid, Mask, View
+from std_toolkit.scanning.photos.views import Grid, View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Slope of a surface that may be the cone above the rim, beyond that of the flattest look.

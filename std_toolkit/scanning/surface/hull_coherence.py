@@ -5,16 +5,14 @@ motion is right: with a wrong one, each hull carves what the other needs. This n
 no depth (silhouette coherence: Hernández, Schmitt and Cipolla, TPAMI 29, 2007).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3
-from std_toolkit.scanning.photos.views import Array
 from std_toolkit.scanning.surface.measured_surface import Side
 
 # Photos of each position, rays in each, and places along a ray.

@@ -4,8 +4,6 @@ One or two sides: the object as it stood first, and turned over. Each side has d
 own photos. The surface is fused from both in the world of the first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
@@ -23,7 +22,7 @@ from std_toolkit.scanning.masks.hull import hull_field, largest_component, surfa
 from std_toolkit.scanning.masks.masks import covered, volume_of_masks
 from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
-from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
+from std_toolkit.scanning.photos.views import Grid, View, in_threads
 from std_toolkit.scanning.surface.depth_maps import DepthEngine, DepthMap
 from std_toolkit.scanning.surface.hollow import hollowed
 from std_toolkit.scanning.surface.photo_polish import fit_photos
@@ -70,8 +69,8 @@ class Side:
     views: list[View]
     maps: list[DepthMap | None]
     grid: Grid
-    hull: NDArray[np.float32]
-    disputed: NDArray[np.float32]
+    hull: Floats
+    disputed: Floats
     on_table: bool
     digest: str
     sensor: list[DepthMap | None] = field(default_factory=list)
@@ -94,7 +93,7 @@ class Surface:
 
     vertices: Array
     faces: NDArray[np.int64]
-    support: NDArray[np.float32]
+    support: Floats
 
 
 def measure_side(
@@ -127,7 +126,7 @@ def measure_side(
 
 
 def _sensor(
-    posed: PosedPhotos, views: Sequence[View], hull: NDArray[np.float32], grid: Grid, threads: int
+    posed: PosedPhotos, views: Sequence[View], hull: Floats, grid: Grid, threads: int
 ) -> list[DepthMap | None]:
     """Depth maps of the sensor, brought to the board's scale; says so in the facts."""
     if all(v.sensor is None for v in views):
@@ -216,7 +215,7 @@ def fused_surface(
 def _fused(
     views: Sequence[View],
     layers: Sequence[Sequence[DepthMap | None]],
-    hulls: tuple[NDArray[np.float32], NDArray[np.float32]],
+    hulls: tuple[Floats, Floats],
     grid: Grid,
     threads: int,
 ) -> Fusion:
@@ -242,7 +241,7 @@ def _mask_digest(views: Sequence[View]) -> str:
 
 def _hulls(
     views: Sequence[View], grid: Grid, floors: Sequence[SE3], threads: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Floats, Floats]:
     """The hull, and a larger one that more masks may contradict.
 
     Masks lack texture of the colour of the table behind it. The depth maps decide in between.
@@ -261,7 +260,7 @@ def _hulls(
 
 def _hull(
     views: Sequence[View], grid: Grid, floors: Sequence[SE3], allowed: int, threads: int
-) -> NDArray[np.float32]:
+) -> Floats:
     """Signed distance to the hull above all tables, each the plane z = 0 of a moved world."""
     field = hull_field(views, grid, allowed=allowed, threads=threads)
     axes = [
@@ -285,7 +284,7 @@ def _hull(
 def _depth(
     engine: DepthEngine,
     views: Sequence[View],
-    hull: NDArray[np.float32],
+    hull: Floats,
     grid: Grid,
     longest: float,
     neighbours: int,
@@ -317,9 +316,7 @@ def _depth(
     ]  # fmt: skip
 
 
-def _with_disputed(
-    views: Sequence[View], hull: NDArray[np.float32], grid: Grid, threads: int
-) -> list[View]:
+def _with_disputed(views: Sequence[View], hull: Floats, grid: Grid, threads: int) -> list[View]:
     """Photos, in which nothing hides the object, whose masks have all of a hull."""
     caster = RayCaster(*surface_of(hull, grid), threads=1)
     return in_threads(
@@ -327,7 +324,7 @@ def _with_disputed(
     )
 
 
-def _at(values: NDArray[np.float32], grid: Grid, points: Array) -> NDArray[np.float32]:
+def _at(values: Floats, grid: Grid, points: Array) -> Floats:
     """Largest value of the voxels around points (N, 3)."""
     from scipy.ndimage import maximum_filter
 

@@ -5,16 +5,14 @@ Windows", BMVC 2011; several views as in Galliani, Lasinger and Schindler, "Mass
 Multiview Stereopsis by Surface Normal Diffusion", ICCV 2015.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.compiled import compiled
-from std_toolkit.scanning.photos.views import Array
 
 Map = NDArray[np.float32]
 

@@ -5,8 +5,6 @@ from the front. Its place is where the patches correlate best (normalised cross-
 Furukawa and Ponce, PAMI 2010), if this place is distinct.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.compiled import compiled
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.photos.visibility import depth_of, seen_from, vertex_normals
 from std_toolkit.scanning.surface.polish import above_floors
 from std_toolkit.settings import NOT_RECORDED, Settings, limit

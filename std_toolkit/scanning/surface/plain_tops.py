@@ -5,21 +5,19 @@ Depth maps cut it, but not where the top is too plain to be matched. There the s
 between the parts around it that are measured, unless an outline shows that the top is higher.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
+from std_toolkit.arrays import Floats, Mask
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.hull import column_tops, surface_of
 from std_toolkit.scanning.masks.masks import covered, eroded
-from std_toolkit.scanning.photos.views import Grid, Mask, View, in_threads
+from std_toolkit.scanning.photos.views import Grid, View, in_threads
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Voxels of the change beside a surface that is sure.
@@ -43,13 +41,13 @@ class PlainTopSettings(Settings):
 
 
 def levelled(
-    field: NDArray[np.float32],
-    support: NDArray[np.float32],
+    field: Floats,
+    support: Floats,
     grid: Grid,
     views: Sequence[View],
     *,
     threads: int = 1,
-) -> NDArray[np.float32]:
+) -> Floats:
     """A surface whose plain tops are spanned between what is measured around them.
 
     Args:
@@ -84,9 +82,7 @@ def levelled(
     return field
 
 
-def _tops(
-    field: NDArray[np.float32], support: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], Mask]:
+def _tops(field: Floats, support: Floats) -> tuple[Floats, Mask]:
     """(h, w) height of the surface in voxels, -1 for none, and where it is measured."""
     limits = PlainTopSettings.current()
     depth = len(field)
@@ -105,7 +101,7 @@ def _tops(
     return np.where(covers, top, -1).astype(np.float32), covers & (weight >= limits.sure)
 
 
-def _spanned(top: NDArray[np.float32], region: Mask) -> NDArray[np.float32]:
+def _spanned(top: Floats, region: Mask) -> Floats:
     """Heights of the harmonic surface over a region that meets those around it."""
     number = np.full(np.add(region.shape, 2), -1)
     inner = number[1:-1, 1:-1]
@@ -133,8 +129,8 @@ def _spanned(top: NDArray[np.float32], region: Mask) -> NDArray[np.float32]:
 
 
 def _explained(
-    before: NDArray[np.float32],
-    after: NDArray[np.float32],
+    before: Floats,
+    after: Floats,
     grid: Grid,
     views: Sequence[View],
     threads: int,

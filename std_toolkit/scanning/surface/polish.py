@@ -1,7 +1,5 @@
 """Polish of a mesh: vertices on the rim of a photo move along their normals to its outline."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.hull import outline_distance
-from std_toolkit.scanning.photos.views import Array, View, in_threads
+from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.scanning.photos.visibility import hull_depth, vertex_normals
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 

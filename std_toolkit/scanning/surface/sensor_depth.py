@@ -5,17 +5,15 @@ diffuse objects only: what it reports through glass lies outside the visual hull
 is left out, as is what other photos contradict (`std_toolkit.scanning.surface.surface`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from std_toolkit.geometry.camera import on_depth_step
-from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
+from std_toolkit.arrays import Array, Floats, Mask
+from std_toolkit.geometry.depth_maps import on_depth_step
+from std_toolkit.scanning.photos.views import Grid, View, in_threads
 from std_toolkit.scanning.surface.depth_maps import DepthMap, object_window
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
@@ -85,7 +83,7 @@ def depth_factor(views: Sequence[View], corners: Array) -> float | None:
 
 def sensor_maps(
     views: Sequence[View],
-    hull: NDArray[np.float32],
+    hull: Floats,
     grid: Grid,
     *,
     factor: float,
@@ -107,9 +105,7 @@ def sensor_maps(
     )
 
 
-def _one(
-    view: View, hull: NDArray[np.float32], grid: Grid, factor: float, *, on_table: bool
-) -> DepthMap | None:
+def _one(view: View, hull: Floats, grid: Grid, factor: float, *, on_table: bool) -> DepthMap | None:
     limits = ScanDepthSettings.current()
     window = object_window(view.shown, 2)
     if view.sensor is None or window is None:
@@ -138,9 +134,7 @@ def _one(
     )  # fmt: skip
 
 
-def _normals(
-    view: View, depth: NDArray[np.float32], good: NDArray[np.bool_], corner: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _normals(view: View, depth: Floats, good: Mask, corner: tuple[int, int]) -> tuple[Floats, Mask]:
     """Normals (h, w, 3) towards the camera, its frame, and where they are known."""
     limits = ScanDepthSettings.current()
     known = good.astype(np.float32)

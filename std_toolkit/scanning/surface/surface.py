@@ -3,20 +3,19 @@
 Where no depth map supports the surface, it is that of the visual hull.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.compiled import compiled
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import import_open3d
 from std_toolkit.log import logger
 from std_toolkit.scanning.masks.hull import largest_component, surface_of
-from std_toolkit.scanning.photos.views import Array, Grid, View, in_threads
+from std_toolkit.scanning.photos.views import Grid, View, in_threads
 from std_toolkit.scanning.surface.depth_maps import DepthMap, choose_neighbours
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
@@ -45,8 +44,8 @@ class Fusion:
         support: weight of the depth measurements of each voxel.
     """
 
-    field: NDArray[np.float32]
-    support: NDArray[np.float32]
+    field: Floats
+    support: Floats
 
 
 def agreeing(
@@ -55,7 +54,7 @@ def agreeing(
     target: Array,
     *,
     threads: int = 1,
-) -> list[NDArray[np.float32]]:
+) -> list[Floats]:
     """Weight (h, w) of every pixel of the depth maps, layer by layer; 0 where no two others agree.
 
     Args:
@@ -68,7 +67,7 @@ def agreeing(
     limits = AgreementSettings.current()
     chosen = choose_neighbours(views, target, 12)
 
-    def one(place: tuple[int, int]) -> NDArray[np.float32]:
+    def one(place: tuple[int, int]) -> Floats:
         layer, i = place
         m = layers[layer][i]
         if m is None:
@@ -101,7 +100,7 @@ def agreeing(
     return in_threads(one, places, threads=threads)
 
 
-def _agree(m: DepthMap, p: Array, z: Array) -> NDArray[np.bool_]:
+def _agree(m: DepthMap, p: Array, z: Array) -> Mask:
     """Which points (N,), at pixels p (N, 2) and depths z of a photo, its map confirms."""
     limits = AgreementSettings.current()
     x = np.rint(p[:, 0]).astype(np.int64) - m.x
@@ -116,9 +115,9 @@ def _agree(m: DepthMap, p: Array, z: Array) -> NDArray[np.bool_]:
 def fuse(
     views: Sequence[View],
     maps: Sequence[DepthMap | None],
-    weights: Sequence[NDArray[np.float32]],
-    hull: NDArray[np.float32],
-    disputed: NDArray[np.float32],
+    weights: Sequence[Floats],
+    hull: Floats,
+    disputed: Floats,
     grid: Grid,
     *,
     threads: int = 1,
@@ -224,9 +223,7 @@ def _integrate(  # type: ignore[no-untyped-def]
                 support[k, j, i] = b
 
 
-def closed_mesh(
-    field: NDArray[np.float32], grid: Grid, faces: int
-) -> tuple[Array, NDArray[np.int64]]:
+def closed_mesh(field: Floats, grid: Grid, faces: int) -> tuple[Array, NDArray[np.int64]]:
     """Watertight mesh of the largest part of a field, with about `faces` faces.
 
     Raises:

@@ -5,8 +5,6 @@ motion by RANSAC, which the measured surfaces refine. Where too few agree, the h
 positions tell which of many turns is right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from std_toolkit.arrays import Array, Mask
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, ransac_similarity, rotation_angle
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.se3 import skew
 from std_toolkit.poses.features import match_descriptors
 from std_toolkit.scanning.masks.masks import eroded
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.surface.depth_maps import DepthMap
 from std_toolkit.scanning.surface.hull_coherence import HullCoherence
 from std_toolkit.scanning.surface.measured_surface import Side, Surface
@@ -177,9 +176,7 @@ def find_turn(first: Side, surface: Surface, second: Side, other: Surface) -> Tu
     )  # fmt: skip
 
 
-def _texture_repeats(
-    T: SE3, p: Array, q: Array, inliers: NDArray[np.bool_], near: float, apart: float
-) -> bool:
+def _texture_repeats(T: SE3, p: Array, q: Array, inliers: Mask, near: float, apart: float) -> bool:
     """Whether another turn explains nearly as many places, as where a texture is there twice."""
     limits = TurnSettings.current()
     p_rest, q_rest = p[~inliers], q[~inliers]
@@ -218,7 +215,7 @@ def _features(side: Side) -> list[tuple[Array, NDArray[np.uint8]]]:
     return found
 
 
-def _placed(view: View, m: DepthMap, uv: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _placed(view: View, m: DepthMap, uv: Array) -> tuple[Array, Mask]:
     """World points (N, 3) of pixels, and which have a sure depth."""
     column, row = (np.rint(uv) - [m.x, m.y]).astype(np.int64).T
     inside = (column >= 0) & (row >= 0) & (column < m.depth.shape[1]) & (row < m.depth.shape[0])

@@ -4,8 +4,6 @@ Below the lowest photos, the visual hull goes on as a cone. Where the rim of an 
 plane, the part is a face of the object that nobody saw, and is closed by that plane.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from std_toolkit.arrays import Array, Mask
 from std_toolkit.geometry.ray_caster import RayCaster
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 
@@ -33,9 +32,7 @@ class UndersideSettings(Settings):
     """sine of the angle below which a face counts as not seen"""
 
 
-def seen_faces(
-    vertices: Array, faces: NDArray[np.int64], views: Sequence[View]
-) -> NDArray[np.bool_]:
+def seen_faces(vertices: Array, faces: NDArray[np.int64], views: Sequence[View]) -> Mask:
     """(F,) whether any photo shows the middle of a face."""
     limits = UndersideSettings.current()
     corners = vertices[faces]
@@ -119,9 +116,7 @@ def _rim_plane(points: Array, tolerance: float) -> tuple[Array, Array, float]:
     return middle, normal, float(best.mean())
 
 
-def _largest_part(
-    faces: NDArray[np.int64], chosen: NDArray[np.bool_], area: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _largest_part(faces: NDArray[np.int64], chosen: Mask, area: Array) -> Mask:
     """The chosen faces that are connected by vertices and have the largest area."""
     result = np.zeros(len(faces), bool)
     index = np.flatnonzero(chosen)

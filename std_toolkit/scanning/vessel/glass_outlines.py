@@ -5,8 +5,6 @@ from the bare table ends. These points are fitted by a surface of revolution, wh
 profile. What points into the vessel, such as its inner wall, has differences outside of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,13 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.log import logger
 from std_toolkit.scanning.masks.masks import dilated
 from std_toolkit.scanning.masks.table_comparison import deviation
 from std_toolkit.scanning.masks.table_model import model_tables
-from std_toolkit.scanning.photos.views import Array, Mask, View, in_threads
+from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.scanning.vessel.glass_profile import outline_evidence, rough_profile
 from std_toolkit.scanning.vessel.revolve import fit_outline_points
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
@@ -79,7 +78,7 @@ def find_vessel(
 
 def fit_vessel(
     views: Sequence[View],
-    evidence: Sequence[NDArray[np.float32]],
+    evidence: Sequence[Floats],
     corners: Array,
     *,
     wall_m: float | None = None,
@@ -142,9 +141,7 @@ def fit_vessel(
     return found, [v.with_mask(m) for v, m in zip(views, masks, strict=True)]
 
 
-def _middle(
-    views: Sequence[View], evidence: Sequence[NDArray[np.float32]], corners: Array
-) -> Array:
+def _middle(views: Sequence[View], evidence: Sequence[Floats], corners: Array) -> Array:
     """(2,) where on the board most photos differ from it, at some heights above it."""
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     x, y, z = np.meshgrid(
@@ -165,7 +162,7 @@ def _middle(
 
 def _with_rim(
     views: Sequence[View],
-    evidence: Sequence[NDArray[np.float32]],
+    evidence: Sequence[Floats],
     centre: Array,
     heights: Array,
     radii: Array,
@@ -225,7 +222,7 @@ def _outline_of(view: View, centre: Array, heights: Array, radii: Array, T: SE3 
     return mask > 0
 
 
-def _outline_points(mask: Mask, evidence: NDArray[np.float32], reach: float) -> tuple[Array, float]:
+def _outline_points(mask: Mask, evidence: Floats, reach: float) -> tuple[Array, float]:
     """Pixels (N, 2) where the difference ends near an outline, and the share of it that shows."""
     lines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not lines:

@@ -8,16 +8,14 @@ and one on the right in each photo. The evidence of all photos together is enoug
 photo is not: the profile with most of it is found by dynamic programming.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.arrays import Array, Floats
+from std_toolkit.scanning.photos.views import View
 
 # Heights of the profile and steps of the radius per step of height.
 _HEIGHTS, _FINE = 90, 4
@@ -54,7 +52,7 @@ class RoughProfile:
     evidence: float
 
 
-def outline_evidence(deviation: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+def outline_evidence(deviation: Sequence[Floats]) -> list[Floats]:
     """(H, W) of each photo: how much each pixel differs from the table, NaN for unknown.
 
     What most pixels around it differ by, too, as where the table shines, is left out.
@@ -77,13 +75,11 @@ def outline_evidence(deviation: Sequence[NDArray[np.float32]]) -> list[NDArray[n
 class _Photos:
     """Evidence of the photos, blurred for points beside an outline, and their cameras."""
 
-    def __init__(
-        self, views: Sequence[View], evidence: Sequence[NDArray[np.float32]], *, wide: int = 1
-    ) -> None:
+    def __init__(self, views: Sequence[View], evidence: Sequence[Floats], *, wide: int = 1) -> None:
         self.views = views
         self._wide = wide
-        self._near: list[NDArray[np.float32]] = []
-        self._far: list[NDArray[np.float32]] = []
+        self._near: list[Floats] = []
+        self._far: list[Floats] = []
         for value in evidence:
             known = np.isfinite(value).astype(np.float32)
             filled = np.where(known > 0, value, 0).astype(np.float32)
@@ -147,7 +143,7 @@ def _projected(P: Array, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
     )
 
 
-def _at(image: NDArray[np.float32], u: Array, v: Array) -> NDArray[np.float32]:
+def _at(image: Floats, u: Array, v: Array) -> Floats:
     """Values at pixels of any shape; NaN outside."""
     shape = u.shape
     flat = cv2.remap(
@@ -163,7 +159,7 @@ def _at(image: NDArray[np.float32], u: Array, v: Array) -> NDArray[np.float32]:
 
 def rough_profile(
     views: Sequence[View],
-    evidence: Sequence[NDArray[np.float32]],
+    evidence: Sequence[Floats],
     centre: Array,
     tallest: float,
     widest: float,

@@ -4,8 +4,6 @@ In the half-plane of height and radius, a ray is a hyperbola; its distance is th
 which is nearest to the profile.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

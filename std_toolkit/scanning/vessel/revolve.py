@@ -8,14 +8,12 @@ comes from the inner edge of the rim where photos show it. Handles and spouts ar
 their outline is left out and its share reported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array, Mask
 from std_toolkit.errors import ToolkitError
 from std_toolkit.scanning.vessel.outline_rays import (
     OutlineRays,
@@ -29,8 +27,6 @@ from std_toolkit.scanning.vessel.outline_rays import (
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.scanning.vessel.rim_wall import wall_at_rim
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
-
-Array = NDArray[np.float64]
 
 # Steps between the heights of the profile, and their number.
 _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS = 0.001, 40, 260
@@ -171,26 +167,7 @@ def _fitted(
         shown = wall_at_rim(views, found)
         if shown is not None:
             found = replace(found, wall_m=shown, wall_seen=True)
-    return replace(found, warnings=tuple(_warnings(found, known_wall=wall_m is not None)))
-
-
-def _warnings(found: RevolvedSurface, *, known_wall: bool) -> list[str]:
-    sentences = []
-    if found.outside > 0.02:
-        sentences.append(
-            f"{100 * found.outside:.0f} % of the outline is not of the surface of revolution: "
-            "handles and spouts are not modelled"
-        )
-    if not (found.wall_seen or known_wall):
-        sentences.append(
-            f"no photo shows the inner edge of the rim: a wall of {1000 * found.wall_m:.1f} mm is "
-            "a guess; photograph the rim from above, or measure the wall"
-        )
-    sentences.append("the thickness of the base is a guess")
-    if not found.seen.all():
-        hidden = 1000 * float((~found.seen).mean() * found.heights[-1])
-        sentences.append(f"no outline touches {hidden:.0f} mm of the profile: interpolated")
-    return sentences
+    return replace(found, warnings=found.doubts(known_wall=wall_m is not None))
 
 
 def _start(views: Sequence[OutlineView], rays: OutlineRays) -> tuple[Array, float]:
@@ -360,9 +337,7 @@ def _settled(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Tur
     return state, sigma
 
 
-def _deviation(
-    rays: OutlineRays, state: TurnedProfile, sigma: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _deviation(rays: OutlineRays, state: TurnedProfile, sigma: float) -> tuple[Array, Mask]:
     """Standard deviation of the radii, and where outlines touch the surface."""
     A, _, weight = _system(rays, state, sigma)
     count = len(state.radii)

@@ -1,7 +1,5 @@
 """A photo with an outline, and a solid of revolution as an axis and a profile with its mesh."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +80,25 @@ class RevolvedSurface:
         if not len(points):
             return np.array([[0.0, top]])
         return np.vstack([points, [[0.0, points[-1, 1]]]])
+
+    def doubts(self, *, known_wall: bool) -> tuple[str, ...]:
+        """Sentences on what is a guess or out of reach."""
+        sentences = []
+        if self.outside > 0.02:
+            sentences.append(
+                f"{100 * self.outside:.0f} % of the outline is not of the surface of revolution: "
+                "handles and spouts are not modelled"
+            )
+        if not (self.wall_seen or known_wall):
+            sentences.append(
+                f"no photo shows the inner edge of the rim: a wall of {1000 * self.wall_m:.1f} mm "
+                "is a guess; photograph the rim from above, or measure the wall"
+            )
+        sentences.append("the thickness of the base is a guess")
+        if not self.seen.all():
+            hidden = 1000 * float((~self.seen).mean() * self.heights[-1])
+            sentences.append(f"no outline touches {hidden:.0f} mm of the profile: interpolated")
+        return tuple(sentences)
 
 
 def _turned(profile: Array) -> tuple[Array, NDArray[np.int64]]:

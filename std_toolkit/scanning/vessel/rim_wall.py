@@ -1,7 +1,5 @@
 """The thickness of a vessel's wall from the inner edge of its rim."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -10,7 +10,7 @@ import trimesh
 
 from annotator.app.placing import USUAL_DISTANCE_M, USUAL_UP, dropped_pose, upright_rotation
 from std_toolkit.geometry import Camera, so3_exp
-from std_toolkit.geometry.mesh import round_axis
+from std_toolkit.geometry.turned_surface import round_axis
 from std_toolkit.labels.support.plane import Plane
 
 CAMERA = Camera(640, 480, 600.0, 590.0, 321.0, 238.0, (-0.1, 0.02, 0.001, -0.002))

@@ -23,7 +23,7 @@ from dreds_on_disk import (
 
 from benchmark.data.frame import DepthFrame, Instance, Material
 from benchmark.data.splits import iterate, open_split
-from std_toolkit.geometry.camera import unproject_depth
+from std_toolkit.geometry.depth_maps import unproject_depth
 from std_toolkit.io.images import write_png
 
 INSTANCES = (

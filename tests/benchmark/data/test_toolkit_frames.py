@@ -20,7 +20,8 @@ from sensors.output.toolkit_scene import toolkit_scene
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import RenderOptions
 from std_toolkit.rendering.ground_truth import read_ground_truth

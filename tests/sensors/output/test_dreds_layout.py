@@ -18,7 +18,8 @@ from sensors.output.dreds import SUFFIXES, dreds_scene, mask_values, read_record
 from sensors.output.simulated_frame import SimulatedFrame, SimulatedScene
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_angle, umeyama
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.std_objects import read_meta
 from std_toolkit.io.exr import read_exr_depth
 from std_toolkit.scene.model import pose_from_list

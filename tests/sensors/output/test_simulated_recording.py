@@ -15,7 +15,8 @@ from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.labels.entry.posefile import read_pose
 from std_toolkit.scene import Labels
 

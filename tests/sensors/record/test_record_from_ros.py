@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rosbags")
 
 from sensors.record.cli import main
-from std_toolkit.importers.ros_importer import is_ros_recording
+from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.scene.scene import Scene
 from tests.std_toolkit.importers.ros_on_disk import depth_mm, write_recording
 

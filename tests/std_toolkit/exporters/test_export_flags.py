@@ -12,7 +12,8 @@ from scene_factory import SERIAL, make_scene
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import ExportOptions, export_scene
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.scene import Scene
 from std_toolkit.scene.check_flags import SCENE_INPUT, read_check_flags, scene_fingerprint

@@ -12,7 +12,8 @@ from scipy.io import loadmat
 
 from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.labels.entry.label import add_model
 from std_toolkit.options import RenderOptions
 from std_toolkit.rendering.render_step import render_ground_truth

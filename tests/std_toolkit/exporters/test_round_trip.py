@@ -15,7 +15,8 @@ from scene_factory import MODELS_OF, SERIAL, make_scene
 
 from std_toolkit.exporters import export_scene
 from std_toolkit.geometry import SE3, so3_exp
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.documents import write_document
 from std_toolkit.rendering.ground_truth import rendered_frames
 from std_toolkit.scene import Frames, Scene

@@ -11,7 +11,8 @@ from scene_factory import SERIAL, make_scene
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters import export_scene
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, undistort_image
-from std_toolkit.geometry.camera import (
+from std_toolkit.geometry.camera_models import largest_radius2
+from std_toolkit.geometry.depth_maps import (
     check_depth_unit,
     on_depth_step,
     unproject_depth,
     z_to_distance,
 )
-from std_toolkit.geometry.camera_models import largest_radius2
 
 PINHOLE = Camera(1280, 720, 912.3, 910.1, 645.2, 355.9)
 DISTORTIONS = {

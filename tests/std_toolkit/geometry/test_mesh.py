@@ -18,8 +18,8 @@ from std_toolkit.geometry.mesh import (
     mesh_diameter,
     mesh_extents,
     nocs_frame,
-    round_axis,
 )
+from std_toolkit.geometry.turned_surface import round_axis
 
 BOX = trimesh.creation.box((0.1, 0.06, 0.03))
 

@@ -10,8 +10,8 @@ import pytest
 import trimesh
 
 from std_toolkit.geometry import SE3, Symmetry, mssd, rotation_angle, so3_exp
-from std_toolkit.geometry.mesh import load_mesh
-from std_toolkit.geometry.symmetry_search import check_symmetry, detect_symmetry, surface_error
+from std_toolkit.geometry.mesh import load_mesh, surface_error
+from std_toolkit.geometry.symmetry_search import check_symmetry, detect_symmetry
 from tests.std_toolkit.geometry.symmetry_table import YCB, Expected
 
 SHORT_YCB = ("003_cracker_box", "024_bowl", "025_mug", "036_wood_block")

@@ -12,7 +12,9 @@ import trimesh
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_angle, so3_exp
-from std_toolkit.importers import ImportRequest, detect_format, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.importer import detect_format
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.scene.model import pose_from_list
 
 CAMERAS = [SE3(so3_exp([0.0, 0.1 * i, 0.0]), np.array([-0.05 * i, 0.0, 0.0])) for i in range(3)]

@@ -13,7 +13,8 @@ import pytest
 
 from std_toolkit.checks.summary import summarise
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers import ImportRequest, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.scene import Scene

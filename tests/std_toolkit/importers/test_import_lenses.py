@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
-from std_toolkit.importers import ImportRequest, import_recording
-from std_toolkit.importers.import_step import write_recording
+from std_toolkit.importers.import_step import import_recording, write_recording
 from std_toolkit.importers.importer import IMPORTERS
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import write_color, write_depth_png16
 from std_toolkit.options import KnownCameras, PoseOptions
 from std_toolkit.poses.pose_step import estimate_poses

@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from std_toolkit.importers import ImportRequest, detect_format, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.importer import detect_format
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.exr import read_exr
 from std_toolkit.io.images import read_depth, read_mask
 

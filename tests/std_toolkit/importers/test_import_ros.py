@@ -14,11 +14,12 @@ pytest.importorskip("rosbags")
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, undistort_image
+from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import detect_format
-from std_toolkit.importers.ros_importer import is_ros_recording, pair_stamps
+from std_toolkit.importers.options import ImportRequest
+from std_toolkit.importers.ros_images import pair_stamps
 from std_toolkit.io.images import read_color, write_png
-from std_toolkit.options import ImportRequest
 from std_toolkit.scene.scene import Scene
 from tests.std_toolkit.importers.ros_on_disk import (
     COLOR,

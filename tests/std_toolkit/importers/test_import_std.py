@@ -11,7 +11,9 @@ import trimesh
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, rotation_angle, so3_exp
-from std_toolkit.importers import ImportRequest, detect_format, import_recording
+from std_toolkit.importers.import_step import import_recording
+from std_toolkit.importers.importer import detect_format
+from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.std_objects import read_meta
 from std_toolkit.io.exr import write_exr
 from std_toolkit.rendering.choose import get_renderer

@@ -9,7 +9,8 @@ from PIL import Image
 from tiny_camera import CAMERA
 
 from std_toolkit.cli.command_options import parse_options
-from std_toolkit.cli.labelling import LabelArguments, label
+from std_toolkit.cli.labelling import label
+from std_toolkit.commands import LabelArguments
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.se3 import SE3

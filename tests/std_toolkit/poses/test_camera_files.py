@@ -247,6 +247,123 @@ def test_bad_files_give_one_line(name: str, text: str, problem: str, tmp_path: P
     assert "\n" not in str(error.value) and str(path) in str(error.value)
 
 
+def rounded(path: Path, scene: Scene, decimals: int) -> float:
+    """Write a folder of matrices with so many decimals; return how far they are off orthonormal."""
+    path.mkdir()
+    off = []
+    for frame, T in truth_of(scene).items():
+        M = np.round(T.matrix(), decimals)
+        off.append(np.abs(M[:3, :3] @ M[:3, :3].T - np.eye(3)).max())
+        np.savetxt(path / f"frame-{frame // 2 + 7:06d}.pose.txt", M)
+    return float(max(off))
+
+
+@pytest.mark.parametrize("decimals", [3, 2])
+def test_rounded_rotations_are_projected_with_one_warning(
+    decimals: int, scene: Scene, tmp_path: Path, caplog
+) -> None:
+    off = rounded(tmp_path / "poses", scene, decimals)
+    assert 1e-4 < off < 1e-2
+    with caplog.at_level("WARNING", logger="std_toolkit"):
+        check_read(tmp_path / "poses", scene, tolerance=0.6 * 10**-decimals * 3)
+    said = [r.getMessage() for r in caplog.records if "orthonormal" in r.getMessage()]
+    assert len(said) == 1
+    assert f"{tmp_path / 'poses'}: the rotations of 4 of 4 poses are up to {off:.2g} off" in said[0]
+    known = read_known_poses(KnownCameras(cameras=tmp_path / "poses"), scene.frames)
+    for T in known.poses().values():
+        assert np.abs(T.R @ T.R.T - np.eye(3)).max() < 1e-14
+    assert "the nearest rotations are used" in known.note()
+
+
+def test_exact_rotations_bring_no_warning(scene: Scene, tmp_path: Path, caplog) -> None:
+    assert rounded(tmp_path / "poses", scene, 6) < 1e-4
+    with caplog.at_level("WARNING", logger="std_toolkit"):
+        check_read(tmp_path / "poses", scene, tolerance=1e-5)
+    assert not [r for r in caplog.records if "orthonormal" in r.getMessage()]
+
+
+def test_rotations_that_are_off_by_more_than_rounding_are_refused(tmp_path: Path) -> None:
+    T = SE3.exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]).matrix()
+    for name, change in {
+        "scaled": np.diag([1.01, 1.01, 1.01]),
+        "sheared": np.eye(3) + np.outer([1, 0, 0], [0, 0.02, 0]),
+        "mirrored": np.diag([1.0, 1.0, -1.0]),
+    }.items():
+        M = T.copy()
+        M[:3, :3] = change @ M[:3, :3]
+        np.savetxt(tmp_path / f"{name}.txt", M)
+        with pytest.raises(ToolkitError, match="not a rotation matrix"):
+            read_cameras(tmp_path / f"{name}.txt")
+
+
+@pytest.mark.parametrize("w", [0.00118, 1000.0, -2.0])
+def test_homogeneous_poses_are_divided_by_w(w: float, scene: Scene, tmp_path: Path, caplog) -> None:
+    frames = [
+        {"file_path": scene.frame(f).color, "transform_matrix": (T.matrix() @ FLIP * w).tolist()}
+        for f, T in truth_of(scene).items()
+    ]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    with caplog.at_level("WARNING", logger="std_toolkit"):
+        check_read(tmp_path / "transforms.json", scene, cameras_unit="m")
+    (said,) = [r.getMessage() for r in caplog.records if "last row" in r.getMessage()]
+    assert f"the last row of 4 of 4 poses is 0 0 0 w, w = {w:.6g}" in said
+
+
+def test_only_positions_are_divided_where_the_rotation_is_one(scene: Scene, tmp_path: Path) -> None:
+    rows = {}
+    for f, T in truth_of(scene).items():
+        M = T.matrix()
+        M[:, 3] *= 0.25
+        rows[scene.frame(f).name] = M.tolist()
+    (tmp_path / "a.json").write_text(json.dumps(rows))
+    check_read(tmp_path / "a.json", scene)
+
+
+def test_other_last_rows_are_refused(tmp_path: Path) -> None:
+    T = SE3.exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]).matrix()
+    for last, problem in {
+        (0, 0, 0, 0): "last row of a pose must be 0 0 0 1",
+        (0.1, 0, 0, 1): "last row of a pose must be 0 0 0 1",
+        (0, 0, 0, -1): "not a rotation matrix",
+    }.items():
+        np.savetxt(tmp_path / "a.txt", np.vstack([T[:3], last]))
+        with pytest.raises(ToolkitError, match=problem):
+            read_cameras(tmp_path / "a.txt")
+    half = np.diag([0.5, 0.5, 0.5, 2.0]) @ T  # neither the block nor the block over w
+    np.savetxt(tmp_path / "a.txt", half)
+    with pytest.raises(ToolkitError, match="not a rotation matrix"):
+        read_cameras(tmp_path / "a.txt")
+
+
+@pytest.mark.real
+def test_poses_of_kinectfusion_are_taken(test_data: Path, tmp_path: Path, caplog) -> None:
+    source = test_data / "kinect_kitchen"
+    for path in source.glob("*.pose.txt"):
+        (tmp_path / path.name).symlink_to(path)
+    filed = read_cameras(tmp_path)
+    assert len(filed.matrices) == 64
+    (repair,) = filed.repairs
+    assert "of 64 of 64 poses are up to 0.00019 off orthonormal" in repair
+    first = np.loadtxt(source / "frame-000000.pose.txt")
+    assert np.abs(filed.matrices[0] - first).max() < 1e-4
+
+
+def test_shift_of_the_list(scene: Scene, tmp_path: Path) -> None:
+    truth = list(truth_of(scene).items())
+    rows = [[scene.frame(f).name, T.matrix().tolist()] for f, T in truth]
+    (tmp_path / "a.json").write_text(json.dumps(dict(rows)))
+    # In another order than the images: the shift is that of the images.
+    (tmp_path / "b.json").write_text(json.dumps(dict(rows[::-1])))
+    for name in ("a.json", "b.json"):
+        known = read_known_poses(KnownCameras(cameras=tmp_path / name), scene.frames)
+        for step in (1, -1):
+            found = known.shifted(step)
+            kept = truth[:-1] if step > 0 else truth[1:]
+            assert list(found) == [f for f, _ in kept]
+            for (_, T), f in zip(truth[step:] if step > 0 else truth[:-1], found, strict=True):
+                assert np.allclose(found[f].matrix(), T.matrix(), atol=1e-9)
+
+
 def test_bad_folders_give_one_line(scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(ToolkitError, match="no such file or folder of camera poses"):
         read_cameras(tmp_path / "none")

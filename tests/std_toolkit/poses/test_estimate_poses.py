@@ -17,14 +17,14 @@ from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Similarity, rotation_angle, umeyama
 from std_toolkit.poses import PoseOptions
-from std_toolkit.poses.pose_step import (
+from std_toolkit.poses.pose_gates import (
     _at_least,
     _at_most,
     _position_sigma,
     _stretches,
-    estimate_poses,
     failed_gates,
 )
+from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import Frame, FramePose, Label, Labels, Model, Object, ObjectTable, Scene
 from std_toolkit.scene.scene import require_metres
 

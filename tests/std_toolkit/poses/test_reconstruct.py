@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pycolmap
 
-from std_toolkit.poses.reconstruct import unregister_unseen
+from std_toolkit.poses.mapping import unregister_unseen
 
 
 def test_an_image_that_lost_its_points_has_no_pose() -> None:

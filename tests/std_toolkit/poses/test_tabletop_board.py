@@ -14,13 +14,15 @@ import cv2
 import numpy as np
 import pytest
 
+from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_error, umeyama
 from std_toolkit.geometry.mesh import load_mesh, mesh_diameter, mesh_extents
-from std_toolkit.options import Refinement
+from std_toolkit.options import KnownCameras, Refinement
 from std_toolkit.poses import PoseOptions
-from std_toolkit.poses.pose_step import estimate_poses, failed_gates
-from std_toolkit.scene import Label, Labels, Model, Object, ObjectTable, Scene
+from std_toolkit.poses.pose_gates import failed_gates
+from std_toolkit.poses.pose_step import estimate_poses
+from std_toolkit.scene import CameraPoses, Label, Labels, Model, Object, ObjectTable, Scene
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]
 
@@ -168,6 +170,71 @@ def test_board_as_scale_source(scene: Scene, corners, folder: Path, capsys) -> N
     found = compare(scene, {i: board_pose(*c, K) for i, c in corners.items()})
     print(found)
     assert abs(found["scale"] - 1) <= 0.002
+
+
+@pytest.fixture(scope="module")
+def third(tabletop_poses: Path, folder: Path, tmp_path_factory) -> tuple[Scene, dict[str, SE3]]:
+    """Every third image as a scene without poses, and the poses that all images and the board
+    give, by file name."""
+    root = tmp_path_factory.mktemp("known")
+    every = Scene.open(shutil.copytree(tabletop_poses, root / "all", symlinks=True))
+    estimate_poses(every, PoseOptions(scale="board", board=folder / "board_mm.json"))
+    chosen = every.frames[::3]
+    (root / "images").mkdir()
+    for frame in chosen:
+        (root / "images" / f"{frame.name}.jpg").symlink_to(every.color_path(frame).resolve())
+    K = every.camera(every.frames[0]).K
+    words = ["--quiet", "import", "--color", str(root / "images"), "--out", str(root / "third")]
+    words += ["--intrinsics", ",".join(str(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))]
+    assert main(words) == 0
+    return Scene.open(root / "third"), {f.name: every.T_world_cam(f.id) for f in chosen}
+
+
+def known(scene: Scene, poses: dict[str, SE3], folder: Path) -> CameraPoses:
+    """Poses of the step with these known cameras."""
+    path = folder / "cameras.json"
+    path.write_text(json.dumps({k: T.matrix().tolist() for k, T in poses.items()}))
+    return estimate_poses(scene, PoseOptions(known=KnownCameras(cameras=path)))
+
+
+def test_right_known_poses_are_not_accused(third, tmp_path: Path) -> None:
+    scene, truth = third
+    poses = known(scene, truth, tmp_path)
+    assert [p.status for p in poses.frames] == ["registered"] * 26
+    assert all(g.passed for g in poses.gates)
+    assert not [n for n in poses.notes if "does not fit" in n]
+
+
+def test_wrong_known_poses_are_named(third, tmp_path: Path) -> None:
+    scene, truth = third
+    names = list(truth)
+    wrong = {
+        4: SE3.exp([0.03, 0, 0, 0, 0, 0]),
+        11: SE3.exp([0, 0, 0, 0, np.radians(2), 0]),
+        17: SE3.exp([0, 0, 0.03, 0, 0, 0]),
+        23: SE3.exp([0, 0, 0, 0, 0, np.radians(2)]),
+    }
+    given = {k: T @ wrong.get(i, SE3.identity()) for i, (k, T) in enumerate(truth.items())}
+    given[names[8]] = truth[names[14]]
+    poses = known(scene, given, tmp_path)
+    lost = [f.name for f, p in zip(scene.frames, poses.frames, strict=True) if not p.T_world_cam]
+    assert lost == [names[i] for i in (4, 8, 11, 17, 23)]
+    (note,) = [n for n in poses.notes if "does not fit" in n]
+    assert all(f"{name}.jpg (explains " in note for name in lost)
+
+
+def test_known_poses_that_are_late_or_noisy_are_refused(third, tmp_path: Path) -> None:
+    scene, truth = third
+    late = dict(zip(truth, [*list(truth.values())[:1], *list(truth.values())[:-1]], strict=True))
+    with pytest.raises(ToolkitError, match="the list is late by one image"):
+        known(scene, late, tmp_path)
+    rng = np.random.default_rng(0)
+    noisy = {
+        k: T @ SE3.exp(rng.normal(size=6) * np.repeat([0.008, np.radians(0.8)], 3))
+        for k, T in truth.items()
+    }
+    with pytest.raises(ToolkitError, match="do not explain the images"):
+        known(scene, noisy, tmp_path)
 
 
 def test_mustard_bottle_as_scale_source(scene: Scene, folder: Path, test_data: Path) -> None:

@@ -12,6 +12,7 @@ import trimesh
 
 pytest.importorskip("manifold3d")
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, rotation_angle, so3_exp
 from std_toolkit.geometry.ray_caster import RayCaster
@@ -20,7 +21,7 @@ from std_toolkit.scanning.masks.object_masks import both_positions
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos.photos import Photos
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
-from std_toolkit.scanning.photos.views import Array, View
+from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.surface.depth_maps import depth_maps
 from std_toolkit.scanning.surface.measured_surface import (
     Side,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.geometry import camera, plane_fit, se3
+from std_toolkit.geometry import depth_maps, plane_fit, se3
 from std_toolkit.labels.refine.caster import LayerStore, WorldCaster
 from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.labels.refine.problem import RefineObject, RefineView
@@ -180,7 +180,7 @@ def observe(
         if caster is not None:
             box = x0, y0, x1 - 1, y1 - 1
             nearest = caster.window(view.camera, view.T_world_cam, box)[0].depth
-        steady = (sensor > 0) & ~camera.on_depth_step(sensor)
+        steady = (sensor > 0) & ~depth_maps.on_depth_step(sensor)
         bare = ObservedView(view, x0, y0, sensor, steady, nearest, None)
         plane = _background(bare, obj, surface) if background else None
         found.append(ObservedView(view, x0, y0, sensor, steady, nearest, plane))

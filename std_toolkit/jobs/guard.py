@@ -6,8 +6,6 @@ that keeps the interpreter's lock for minutes (a surface reconstruction, the loa
 of a gigabyte) lets no handler and no thread of the program run.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal

@@ -6,8 +6,6 @@ the signal, also while it starts (imports) or leaves (waits for threads). Every 
 atomically, so that this loses only the item in work.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import signal
@@ -18,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-from std_toolkit.cli import guard
+from std_toolkit.jobs import guard
 
 GRACE_S = 2.5
 """Seconds from a signal until the program is ended from outside the computation.

@@ -1,0 +1,61 @@
+"""Options of an import: which images to read and how, and the request that an importer gets."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from std_toolkit.options import KnownCameras, Material
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageOptions:
+    """Options for reading colour and depth images."""
+
+    color: str | None = None
+    """folder or quoted glob pattern of the colour images, or their topic in a recording of ROS"""
+    depth: str | None = None
+    """folder or quoted glob pattern of the depth images, aligned to colour, or their topic"""
+    depth_scale: float | None = None
+    """metres per unit of 16-bit depth (default: that of the format; 0.001 for separate images)"""
+    depth_correction: float = 1.0
+    """factor applied to all depth, from a calibration"""
+    intrinsics: str | None = None
+    """intrinsics file, or fx,fy,cx,cy in pixels (default: those of the format)"""
+    distortion: str | None = None
+    """OpenCV coefficients k1,k2,p1,p2[,k3[,k4,k5,k6]] (default: those of the file)"""
+    undistort_fov: Annotated[float, msgspec.Meta(ge=3, le=136)] | None = None
+    """undistort the images to a pinhole with this horizontal field of view in degrees (default: a
+    fisheye lens to a pinhole of the same focal length; other lenses keep their distortion)"""
+    skip_unpaired: bool = False
+    """skip frames that lack colour or depth"""
+    off_centre: bool = False
+    """accept a principal point far from the image centre (cropped images)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(ImageOptions):
+    """Options for reading a recording in another format."""
+
+    material: Material | None = None
+    """material of imported objects whose format has none"""
+    models: Path | None = None
+    """folder of CAD models, for formats that store them separately"""
+    known: KnownCameras = field(default_factory=KnownCameras)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportRequest(ImportOptions):
+    """A recording to import.
+
+    Attributes:
+        source: folder or file of the recording; for separate colour and depth folders, the
+            folder of the colour images.
+        name: name of the new scene.
+        workspace: folder for images that are not files of their own, such as those of ROS.
+    """
+
+    source: Path
+    name: str
+    workspace: Path | None = None
