@@ -284,8 +284,6 @@ class CheckOptions(CheckBasics):
     """gate: largest image motion relative to a label that no pose explains"""
     max_alignment_px: float = 3.0
     """gate: largest shift of sensor depth against colour"""
-    max_unfit: Share = 0.25
-    """gate: largest share of frames in which a label does not fit"""
     max_motion_mm: float = 4.0
     """gate: largest significant translation between a label and the images"""
     max_motion_deg: float = 2.5

@@ -133,6 +133,6 @@ GATES = (
         unit="px",
         advice="align depth to colour with the extrinsics of the sensor, and record both at the "
         "same time",
-        after="unfit",
+        after="moved",
     ),
 )

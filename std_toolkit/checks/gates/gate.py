@@ -29,6 +29,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from std_toolkit.checks.gates.hypotheses import Weighed
+from std_toolkit.checks.measure.frame_evidence import FrameEvidence
 from std_toolkit.checks.result import (
     CheckGate,
     CheckWarning,
@@ -56,12 +57,16 @@ class Moved:
         between: pairs of frame ids between which it moved: into and out of the frames in which
             the label does not fit.
         frames: ids of these frames.
+        mm: displacement across the view.
+        or_camera: whether the poses of the camera in these frames may be wrong instead.
     """
 
     object: int
     name: str
     between: tuple[tuple[int, int], ...]
     frames: tuple[int, ...]
+    mm: float
+    or_camera: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +77,8 @@ class Measured:
         summary, objects, frames, materials: tables of the report.
         options: limits.
         poses: the camera poses; None without any.
-        camera: ids of the frames with a wrong camera pose.
+        evidence: frames that contradict the others.
         moved: objects that moved.
-        unfit: share of the frames in which a label does not fit, by name; see `frames`.
         unreadable: why the mesh of a labelled object cannot be read, by object id.
         weighed: verdict on the pose of an object by its id, where anything says where it is.
     """
@@ -85,9 +89,8 @@ class Measured:
     options: CheckOptions
     materials: Sequence[MaterialDepth] = ()
     poses: CameraPoses | None = None
-    camera: Sequence[int] = ()
+    evidence: FrameEvidence = field(default_factory=FrameEvidence)
     moved: Sequence[Moved] = ()
-    unfit: Mapping[str, float] = field(default_factory=dict)
     unreadable: Mapping[int, str] = field(default_factory=dict)
     weighed: Mapping[int, Weighed] = field(default_factory=dict)
 

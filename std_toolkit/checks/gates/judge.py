@@ -15,6 +15,7 @@ from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.gates.hypotheses import weigh
 from std_toolkit.checks.gates.outcome import Outcome
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
+from std_toolkit.checks.measure.frame_evidence import frame_evidence
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.placements import with_placements
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
@@ -112,6 +113,7 @@ def judge_scene(
             materials=materials,
             poses=scene.poses,
             unreadable=_unreadable_meshes(scene),
+            evidence=frame_evidence(scene, observed, options),
         )
     )
     return msgspec.structs.replace(
@@ -130,14 +132,14 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         for o in measured.objects
         if o.is_labelled and (found := weigh(o, measured.options)) is not None
     }
-    faults = frames.find_frame_faults(measured.objects, measured.frames, measured.options)
+    faults = frames.find_frame_faults(
+        measured.objects, measured.frames, measured.options, measured.evidence
+    )
     measured = replace(
         measured,
         objects=faults.objects,
         frames=faults.frames,
-        camera=faults.camera,
         moved=faults.moved,
-        unfit=faults.unfit,
         weighed=weighed,
     )
     gates = all_gates()

@@ -112,3 +112,50 @@ def strength_at_shifts(normals, offsets, strength, dx, dy):  # type: ignore[no-u
             left = strength[p, low]
             total[n] += left + (index - low) * (strength[p, low + 1] - left)
     return total / points
+
+
+@compiled
+def likelihood_gain(  # type: ignore[no-untyped-def]
+    offsets, strengths, clutter, jacobian, motion, width
+):
+    """Mean over the points of log(1 + density of edges / density of clutter) after a motion.
+
+    Args:
+        offsets, strengths, clutter, jacobian: see `MotionEquations`; no edge is infinite.
+        motion: (D,) with D at most the columns of the jacobian.
+        width: standard deviation of an edge in px.
+    """
+    scale = 1 / (np.sqrt(2 * np.pi) * width)
+    total = 0.0
+    for p in range(len(offsets)):
+        moved = 0.0
+        for i in range(len(motion)):
+            moved += jacobian[p, i] * motion[i]
+        density = 0.0
+        for k in range(offsets.shape[1]):
+            error = (offsets[p, k] - moved) / width
+            if -6.0 < error < 6.0:
+                density += strengths[p, k] * np.exp(-0.5 * error * error) * scale
+        total += np.log(1 + density / clutter[p])
+    return total / len(offsets)
+
+
+@compiled
+def strength_on_grid(points, normals, gx, gy, dx, dy, threshold):  # type: ignore[no-untyped-def]
+    """(N,) mean saturated slope along the normals of a contour at N shifts.
+
+    Args:
+        points, normals: (P, 2) of the contour, in px of the slopes.
+        gx, gy: (H, W) slopes of the image.
+        dx, dy: (N,) shifts, px.
+        threshold: slope that counts half.
+    """
+    height, width = gx.shape
+    total = np.zeros(len(dx))
+    for n in range(len(dx)):
+        for p in range(len(points)):
+            x, y = int(points[p, 0] + dx[n] + 0.5), int(points[p, 1] + dy[n] + 0.5)
+            if 0 <= x < width and 0 <= y < height:
+                slope = abs(gx[y, x] * normals[p, 0] + gy[y, x] * normals[p, 1])
+                total[n] += slope / (slope + threshold)
+    return total / len(points)

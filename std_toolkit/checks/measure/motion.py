@@ -33,6 +33,8 @@ _EDGES_PER_POINT = 4
 _UNKNOWNS = 7
 # Errors of neighbouring contour points are correlated: one independent sample per 60 px.
 INDEPENDENT_PX = 60.0
+# Meshes and shades move edges by less than this width of their likelihood.
+_WIDTH_PX = 1.0
 _CHANCE_SHIFTS_PX = np.array([-10, -8, -6, -4.5, 4.5, 6, 8, 10])
 
 
@@ -99,6 +101,15 @@ class MotionEquations:
         on_edge = float((np.abs(offsets).min(axis=1) < limits.on_edge_px).mean())
         moved = np.abs(offsets[None] - _CHANCE_SHIFTS_PX[:, None, None]).min(axis=2)
         return on_edge, float((moved < limits.on_edge_px).mean())
+
+    def likelihood(self, motion: Array) -> float:
+        """Mean log likelihood of the points against clutter alone, after a motion (6,) or (7,)."""
+        from std_toolkit.checks.measure.edge_sums import likelihood_gain  # loads numba
+
+        e = self
+        return float(
+            likelihood_gain(e.offsets, e.strengths, e.clutter, e.jacobian, motion, _WIDTH_PX)
+        )
 
     @property
     def independent(self) -> float:

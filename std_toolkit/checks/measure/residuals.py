@@ -51,6 +51,7 @@ class ObjectObservation:
         jacobian: (2, 3) px per metre in the world of the object's centre.
         metres_per_px: size of a pixel at the object.
         motion: equations of the residual motion in six degrees of freedom.
+        T_world_obj: the label that was measured.
     """
 
     visible_px: int
@@ -63,6 +64,7 @@ class ObjectObservation:
     metres_per_px: float | None = None
     depth_shift: DepthShift | None = None
     motion: MotionEquations | FiledEquations | None = None
+    T_world_obj: SE3 | None = None
 
 
 @dataclass(eq=False, slots=True)
@@ -308,6 +310,7 @@ def _observe_object(
         motion_equations(contour, profiles, view.camera, view.T_world_cam, centre)
         if profiles
         else None,
+        scene.T_world_obj(object_id),
     )
 
 
