@@ -138,8 +138,8 @@ def _frame(
         raw = np.where(mask == TRANSPARENT.mask_id, np.float32(0), true)
         if len(paths) > 1:
             raw = loading.read_depth_map(paths[1])
-        for image_path, image in zip(paths, (color, raw), strict=False):
-            loading.check_proportions(image_path, image, size)
+            loading.check_proportions(paths[1], raw, size)
+        loading.check_proportions(paths[0], color, size)
     return frame.DepthFrame(
         key.scene, key.name, color, raw, true, mask, camera(size), (TRANSPARENT,)
     )

@@ -198,8 +198,9 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             overlap_mm: how far the mesh reaches into that of the object in its text.
             symmetry_mm: how far a declared turn moves the surface of the mesh.
             texture: agreement of the texture at the label, -1..1; its text is "fits", "turned" (a
-            turn fits better), "undecided" or "ambiguous" (no texture, and a turn has the same
-            silhouette).
+            turn fits better), "undecided", "ambiguous" (no texture, and a turn has the same
+            silhouette) or "other" (the images do not show this texture). texture_says: the same
+            as a sentence.
             texture_rival: the same at the best turn; its text is that turn, such as "turned by
             180 deg about z".
         verdict: the worst of its gates: "fits", "doubtful", "wrong" or "unknown" (no evidence).

@@ -12,25 +12,23 @@ from std_toolkit.checks.gates.gate import (
     all_names,
     no_exemption,
 )
-from std_toolkit.checks.result import CheckWarning, ObjectCheck
-from std_toolkit.labels.texture.comparison import TextureComparison
+from std_toolkit.checks.result import CheckWarning, ObjectCheck, Verdict
+
+_VERDICTS: dict[str, Verdict] = {"turned": "wrong", "other": "doubtful", "undecided": "unknown"}
 
 
 def texture_sentence(item: ObjectCheck) -> str:
     """The finding in words, such as "turned by 180 deg about z fits the texture better"."""
-    verdict, turn = item.text("texture"), item.text("texture_rival")
-    if not verdict:
-        return ""
-    nan = float("nan")
-    return TextureComparison(verdict, None, turn, nan, nan, 0).sentence()  # type: ignore[arg-type]
+    return item.text("texture_says")
 
 
 def _texture(item: ObjectCheck, measured: Measured) -> Reading | None:
     del measured
     if item.value("texture") is None:
         return None
-    turned = item.text("texture") == "turned"
-    return Reading(float(turned), detail=texture_sentence(item))
+    found = item.text("texture")
+    verdict = _VERDICTS.get(found, "fits")
+    return Reading(float(found in _VERDICTS), detail=texture_sentence(item), verdict=verdict)
 
 
 def _turns(found: Readings, measured: Measured) -> str:
@@ -38,16 +36,24 @@ def _turns(found: Readings, measured: Measured) -> str:
     return ", ".join(f"{item.name}: {reading.detail}" for item, reading in found)
 
 
-def _ambiguous(measured: Measured) -> Iterable[CheckWarning]:
+def _not_told(measured: Measured) -> Iterable[CheckWarning]:
     """One line per object whose turn neither its silhouette nor a texture determines."""
-    for item in measured.objects:
-        if item.text("texture") == "ambiguous":
+    for item in measured.labelled:
+        found = item.text("texture")
+        if found == "ambiguous":
             yield CheckWarning(
                 severity="low",
                 about=item.name,
                 problem=texture_sentence(item),
                 advice="use a mesh with texture, or declare the symmetry of the model if both "
                 "poses are right",
+            )
+        elif found == "undecided" and item.value("texture") is not None:
+            yield CheckWarning(
+                severity="medium",
+                about=item.name,
+                problem=f"is unknown: {texture_sentence(item)}",
+                advice="turn it in the annotator if the other turn is right",
             )
 
 
@@ -59,14 +65,14 @@ def _unreadable(item: ObjectCheck, measured: Measured) -> Reading | None:
 GATES = (
     ObjectGate(
         key="texture",
-        title="labels whose texture fits better after a turn",
+        title="labels whose texture fits another turn better, or is not there",
         measure=_texture,
         counts=True,
         exempt=no_exemption,
         detail=_turns,
-        advice="turn the object in the annotator until its texture agrees with the image, refine "
-        "and save it, and run `std-curate propagate` again",
-        warn=_ambiguous,
+        advice="turn the object in the annotator until its texture agrees with the image, or use "
+        "the mesh of this product; refine and save it, and run `std-curate propagate` again",
+        warn=_not_told,
     ),
     ObjectGate(
         key="meshes",

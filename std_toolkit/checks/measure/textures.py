@@ -117,6 +117,7 @@ def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> re
                 frames=found.frames,
                 text=found.text,
             ),
+            result.Value(key="texture_says", source="texture", text=found.sentence()),
         ]
     )
 
