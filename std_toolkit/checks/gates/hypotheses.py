@@ -305,9 +305,11 @@ def _is_blind(at: Located, scatter: _Scatter, options: CheckOptions) -> bool:
     limits = JudgeSettings.current()
     for part, size in ((_MM, options.max_motion_mm), (_DEG, options.max_motion_deg)):
         block = at.covariance[part, part]
-        axis = np.linalg.eigh((block + block.T) / 2)[1][:, -1]
+        values, axes = np.linalg.eigh((block + block.T) / 2)
+        if values[-1] < 1e-6:
+            continue  # the symmetry leaves nothing to know
         motion = np.zeros(6)
-        motion[part] = 2 * size * axis
+        motion[part] = 2 * size * axes[:, -1]
         faulty = Located(motion, at.covariance)
         if _inside(list(_explanations(faulty, None, 0.0, scatter)), options)[0] > limits.blind:
             return True

@@ -77,6 +77,7 @@ SUMMARY = SceneSummary(
     labelled=1,
     depth_frames=20,
     truth_frames=20,
+    depth_bias=0.0,
 )
 FRAMES = [FrameCheck(frame=i, name=f"{i:06d}", status="registered") for i in range(20)]
 
@@ -189,6 +190,12 @@ def test_the_scale_gate_compares_in_deviations(
     gate = gates(summary=msgspec.structs.replace(SUMMARY, scale=report))["scale"]
     assert gate.status == status
     assert f"differ by {100 * difference:.2f} %" in gate.detail
+
+
+@pytest.mark.parametrize(("depth_mm", "status"), [(10.0, "pass"), (25.0, "fail")])
+def test_one_object_does_not_tell_its_depth_from_a_bias(depth_mm: float, status: str) -> None:
+    alone = msgspec.structs.replace(SUMMARY, depth_bias=None)
+    assert gates(mug(depth_mm=depth_mm), alone)["depth"].status == status
 
 
 def test_depth_gate_leaves_out_what_the_scale_explains() -> None:
