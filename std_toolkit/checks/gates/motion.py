@@ -98,7 +98,7 @@ def _seen(item: ObjectCheck, measured: Measured) -> Reading | None:
     """Whether the images show the object where its label puts it."""
     if unlabelled(item, measured) or item.entry("confirmed") is None:
         return None
-    if item.object in measured.weighed:
+    if item.object in measured.weighed or item.text("confirmed") == "yes":
         return Reading(0.0, verdict="fits")
     support = item.entry("support")
     seen = support.text if support is not None else ""

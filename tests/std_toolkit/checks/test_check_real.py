@@ -86,7 +86,8 @@ def test_labels_that_fit_the_depth_but_miss_the_image_are_told(
     assert abs(rows["004_sugar_box"].value("depth_mm") or 99) < 2
     assert all(abs(o.value("depth_mm") or 99) < 5 for o in rows.values())
     rows = check_frame(test_data, tmp_path / "3", 3, "poses_refined")
-    assert rows["007_tuna_fish_can"].verdict == "fits"
+    # One frame does not tell how the can is turned about its axis.
+    assert rows["007_tuna_fish_can"].verdict in ("fits", "unknown")
     assert rows["036_wood_block"].verdict == "wrong"
     assert {rows[n].verdict for n in ("035_power_drill", "037_scissors")} <= {"wrong", "doubtful"}
 

@@ -122,7 +122,10 @@ def test_depth_that_is_4_mm_off_gives_a_residual_of_4_mm(make_scene: MakeScene) 
         assert row.mae_mm == pytest.approx(4.0, abs=0.5)
         assert sum(row.histogram_share) == pytest.approx(1, abs=1e-4)
     assert not failed(report)
-    assert failed(check(scene, max_depth_mm=3.0)) == {"depth"}
+    # One diffuse object does not tell an error of its label from a bias of the sensor.
+    assert not failed(check(scene, max_depth_mm=3.0))
+    far = make_scene(Toy(depth_error_m=-0.03, frames=3, materials=("diffuse", "transparent")))
+    assert "depth" in failed(check(far))
 
 
 @pytest.mark.slow
@@ -130,7 +133,7 @@ def test_a_label_5_px_aside_fails_and_is_told_by_how_much(make_scene: MakeScene)
     metres = 5 * DISTANCE_M / CAMERA.fy
     scene = make_scene(Toy(moved={2: np.array([0, metres, 0])}))
     report = check(scene)
-    assert failed(report) >= {"edges", "shift"}
+    assert failed(report) >= {"motion"}
     assert report.verdict.startswith("FAIL: ")
     good, bad = report.objects
     assert good.verdict == "fits" and bad.verdict == "wrong"

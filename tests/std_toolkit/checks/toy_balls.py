@@ -26,6 +26,7 @@ from std_toolkit.scene import (
     Scene,
     SceneInfo,
 )
+from std_toolkit.scene.model import ContinuousSymmetry, SymmetryModel
 
 CAMERA = Camera(320, 240, 330.0, 325.0, 163.3, 118.2)
 RADIUS_M = 0.05
@@ -134,6 +135,12 @@ def write_toy(root: Path, toy: Toy) -> Scene:
                     mesh="models/ball/ball.ply",
                     size_m=[2 * RADIUS_M] * 3,
                     diameter_m=2 * RADIUS_M,
+                    symmetry=SymmetryModel(
+                        continuous=[
+                            ContinuousSymmetry(axis=[1, 0, 0]),
+                            ContinuousSymmetry(axis=[0, 1, 0]),
+                        ]
+                    ),
                 )
             ],
             objects=[
