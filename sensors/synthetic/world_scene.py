@@ -253,7 +253,7 @@ def shake_cameras(scene: Scene, rng: Generator) -> None:
             msgspec.structs.replace(pose, T_world_cam=wrong.flat(), covariance=covariance)
         )
     scene.save_poses(msgspec.structs.replace(scene.poses, frames=frames))
-    cameras = {f.frame: pose_from_list(f.T_world_cam) for f in frames}
+    cameras = {f.frame: pose_from_list(f.T_world_cam) for f in frames if f.T_world_cam}
     labels = []
     for label in scene.labels.labels:
         assert label.T_world_obj is not None

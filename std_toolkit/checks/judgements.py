@@ -86,7 +86,7 @@ def reason_of(item: ObjectCheck, report: CheckReport) -> str:
     """The verdict of an object in one sentence: the findings that gave it."""
     if item.verdict == "fits":
         return item.text("within") or "the images agree with the label"
-    parts = []
+    parts: list[str] = []
     for finding in item.gates:
         if finding.verdict != item.verdict:
             continue

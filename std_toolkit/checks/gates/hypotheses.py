@@ -119,7 +119,7 @@ class Located:
         if length < 1e-9:
             return largest
         unit = self.motion[part] / length
-        return float(np.sqrt(max(unit @ self.covariance[part, part] @ unit, 0.0)))
+        return float(np.sqrt(max(float(unit @ self.covariance[part, part] @ unit), 0.0)))
 
 
 @dataclass(frozen=True, eq=False)

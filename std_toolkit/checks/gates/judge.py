@@ -128,9 +128,9 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         measured: what was measured, without the faults of frames.
     """
     weighed = {
-        o.object: found
+        o.object: pose
         for o in measured.objects
-        if o.is_labelled and (found := weigh(o, measured.options)) is not None
+        if o.is_labelled and (pose := weigh(o, measured.options)) is not None
     }
     faults = frames.find_frame_faults(
         measured.objects, measured.frames, measured.options, measured.evidence

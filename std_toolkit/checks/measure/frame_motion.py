@@ -205,7 +205,7 @@ class ObjectFrames:
     def _near_runs(self) -> list[Displaced]:
         limits = FrameMotionSettings.current()
         seeds = []
-        for k in np.flatnonzero(self.part < limits.clear):
+        for k in map(int, np.flatnonzero(self.part < limits.clear)):
             frame = self.frames[k]
             alone = solve_motion([frame.equations], self.free)
             assert alone is not None

@@ -139,8 +139,8 @@ def _with_motion(
     item = item.with_values([_diameter(scene, item)])
     if len(equations) < MotionSettings.current().fewest_frames:
         # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
-        shown = _is_supported(support)
-        return item.with_values([_confirmation(shown, support.frames, len(equations))])
+        few = _is_supported(support)
+        return item.with_values([_confirmation(few, support.frames, len(equations))])
     plain = motion
     sized = solve_motion(
         equations,
@@ -158,7 +158,7 @@ def _with_motion(
     if abs(sized.size) > max(limits.noted_size, limits.size_deviations * size_std):
         motion, support = sized, sized_support
     at_label = pooled_support(equations, np.zeros(6))
-    seen = _seen(plain, motion, support, at_label, options)
+    shown = _seen(plain, motion, support, at_label, options)
     return item.with_values(
         [
             *_motion_values(motion, len(equations)),
@@ -169,8 +169,8 @@ def _with_motion(
                 source="contour",
                 frames=len(equations),
             ),
-            _confirmation(seen == "seen", support.frames, len(equations)),
-            *_support_values(support, at_label, seen),
+            _confirmation(shown == "seen", support.frames, len(equations)),
+            *_support_values(support, at_label, shown),
         ]
     )
 

@@ -144,7 +144,7 @@ class ScenePoints:
         if scale < 1:
             size = round(scale * camera.width), round(scale * camera.height)
             grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-            free = cv2.resize(free, size, interpolation=cv2.INTER_NEAREST)
+            free = np.asarray(cv2.resize(free, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         sift = cv2.SIFT_create(nfeatures=_MOST_FEATURES)  # type: ignore[attr-defined]
         found, descriptors = sift.detectAndCompute(grey, free)
         if descriptors is None or len(found) < 8:

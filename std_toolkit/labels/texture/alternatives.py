@@ -240,8 +240,8 @@ def near_symmetry(
     vertices: Array, faces: NDArray[np.integer], symmetry: Symmetry | None = None
 ) -> NearSymmetry:
     """The alternatives of a mesh, kept for the meshes that were used last; see `NearSymmetry`."""
-    digest = hashlib.sha256(np.ascontiguousarray(vertices)).digest()
-    digest += hashlib.sha256(np.ascontiguousarray(faces)).digest()
+    digest = hashlib.sha256(np.asarray(vertices).tobytes()).digest()
+    digest += hashlib.sha256(np.asarray(faces).tobytes()).digest()
     key = digest, symmetry or Symmetry()
     found = _known.get(key)
     if found is None:

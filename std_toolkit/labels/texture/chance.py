@@ -115,7 +115,7 @@ def _chance(
     count = -(-_RANDOM // len(strongest))
     scores = [chance_scores(windows[k], surface, pose, count=count) for k in strongest]
     middle = float(np.mean([np.median(x) for x in scores]))
-    apart = np.abs(np.concatenate([x - np.median(x) for x in scores]))
+    apart = np.abs(np.concatenate([np.asarray(x) - np.median(x) for x in scores]))
     deviation = max(_MAD * float(np.median(apart)), limits.deviation)
     # More frames do not lower it: neighbours show the same side, and are wrong together.
     return middle, deviation
