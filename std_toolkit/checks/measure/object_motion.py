@@ -55,7 +55,7 @@ class ConfirmationSettings(Settings):
     opaque_size_std: float = limit(0.004, source=NOT_RECORDED)
     """the same on other materials"""
     systematic_px: Mapping[str, float] = limit(
-        {"specular": 0.5, "transparent": 0.3},
+        {"specular": 0.4, "transparent": 0.2},
         unit="px",
         source="reflections and refraction move the edges of contours",
     )
