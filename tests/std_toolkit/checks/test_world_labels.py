@@ -1,0 +1,37 @@
+"""Labels of kinds of objects that set no limit: right ones are not refused, wrong ones are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fault_table import FaultCase, Study
+
+from sensors.synthetic.kinds import JUDGING
+from sensors.synthetic.world_faults import label_faults
+from sensors.synthetic.world_scene import world_scene
+
+REFUSED = ("doubtful", "wrong")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [201, 204])
+def test_labels_of_unseen_kinds(seed: int, tmp_path: Path) -> None:
+    scene = world_scene(seed, JUDGING, frames=8, folder=tmp_path)
+    study = Study(scene)
+    plain = study.plain()
+    said = {o.name: (o.material, o.verdict) for o in plain.objects}
+    assert plain.passed, said
+    assert {v for m, v in said.values() if m == "diffuse"} == {"fits"}, said
+    for item in plain.objects:
+        large = [f for f in label_faults(scene, item.object, seed=seed) if f.level == 2]
+        for fault in large[:2]:
+            case = FaultCase(fault.name, "fail", fault.apply(scene), objects=(item.object,))
+            (row,) = (o for o in study.report(case).objects if o.object == item.object)
+            caught = row.verdict in REFUSED
+            # What could not see the fault says so.
+            assert caught or (item.material != "diffuse" and row.verdict == "unknown"), (
+                item.name,
+                fault.name,
+                row.verdict,
+            )
