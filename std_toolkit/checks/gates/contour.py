@@ -17,6 +17,7 @@ from std_toolkit.checks.gates.motion import is_judged
 from std_toolkit.checks.measure.coverage import CoverageSettings
 from std_toolkit.checks.result import CheckWarning, Number, ObjectCheck, Severity
 from std_toolkit.options import CheckOptions
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 
@@ -35,6 +36,9 @@ class ContourSettings(Settings):
     """a best shift in this fraction of the frames is sufficient evidence despite texture"""
     large_offset_mm: float = limit(3.0, unit="mm", source=NOT_RECORDED)
     """a larger translation that all frames share brings a warning"""
+    reflected: float = limit(2.0, source="right labels on steel and glass: up to 1.3")
+    """distances in pixels up to so many limits say nothing of steel and glass whose contour does
+    not determine their pose"""
     low_visibility: float = limit(0.5, source=NOT_RECORDED)
     """a smaller visible fraction brings a warning"""
     large_step_deg: float = limit(30.0, unit="deg", source=NOT_RECORDED)
@@ -82,19 +86,27 @@ def _labelled(item: ObjectCheck, measured: Measured) -> Reading:
 def _edges(item: ObjectCheck, measured: Measured) -> Reading | None:
     if not has_edges(item, measured.options):
         return None
-    return _pixels(item, item.value("edge_px"), measured)
+    return _pixels(item, item.value("edge_px"), measured.options.max_edge_px, measured)
 
 
 def _shift(item: ObjectCheck, measured: Measured) -> Reading | None:
     shift = shift_px(item, measured.options)
-    return _pixels(item, shift, measured)
+    return _pixels(item, shift, measured.options.max_shift_px, measured)
 
 
-def _pixels(item: ObjectCheck, value: Number, measured: Measured) -> Reading | None:
+def _pixels(
+    item: ObjectCheck, value: Number, limit_px: float, measured: Measured
+) -> Reading | None:
     """Pixels depend on resolution and distance: they decide where the motion is not measured."""
-    if value is None or not is_judged(item, measured):
-        return Reading(value)
-    return Reading(value, excuse="its motion counts instead", verdict="fits")
+    if value is None:
+        return None
+    if is_judged(item, measured):
+        return Reading(value, excuse="its motion counts instead", verdict="fits")
+    limits = ContourSettings.current()
+    unsure = item.text("support") in ("loose", "faint") and item.material not in DIFFUSE_MATERIALS
+    if unsure and value <= limits.reflected * limit_px:
+        return Reading(value, excuse="reflections give edges beside it, too", verdict="unknown")
+    return Reading(value)
 
 
 def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
@@ -109,8 +121,8 @@ def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
 def _evidence(item: ObjectCheck, measured: Measured) -> Reading | None:
     if unseen(item, measured):
         return None
-    if is_judged(item, measured):
-        return Reading(0.0, verdict="fits")
+    if is_judged(item, measured) or item.entry("support") is not None:
+        return Reading(0.0, verdict="fits")  # the gate `seen` judges it
     return Reading(0.0 if is_confirmed(item, measured.options) else 1.0)
 
 

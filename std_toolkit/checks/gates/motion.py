@@ -18,6 +18,7 @@ from std_toolkit.checks.gates.gate import (
 from std_toolkit.checks.gates.hypotheses import JudgeSettings, Weighed
 from std_toolkit.checks.measure.object_motion import ConfirmationSettings
 from std_toolkit.checks.result import CheckWarning, ObjectCheck, Verdict
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _REFINE = "run `std-curate propagate --refine`, or correct the label in the annotator"
@@ -85,7 +86,7 @@ def _graded(probability: float) -> Verdict:
 
 
 def _size(item: ObjectCheck, measured: Measured) -> Reading | None:
-    if item.value("size_error") is None:
+    if item.value("size_error") is None or item.text("support") in ("loose", "faint", "absent"):
         return None
     found = measured.weighed.get(item.object)
     std = 100 * (item.std("size_error") or 0)
@@ -105,7 +106,7 @@ def _seen(item: ObjectCheck, measured: Measured) -> Reading | None:
     verdict: Verdict = "unknown"
     if seen == "absent" and _is_expected(item):
         verdict = "wrong"
-    elif seen == "aside":
+    elif seen == "aside" and item.material not in DIFFUSE_MATERIALS:
         verdict = "doubtful"
     return Reading(1.0, detail=_UNSEEN.get(seen, _UNSEEN["faint"]), verdict=verdict)
 
@@ -237,6 +238,7 @@ GATES = (
         exempt=unlabelled,
         limit=lambda options: 100 * options.max_size_error,
         unit="%",
+        sigmas=1.0,
         detail=_worst_name,
         advice="the mesh differs from the object: measure the object and scale its mesh, or use "
         "the mesh of this object",
