@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,11 @@ from std_toolkit.checks.measure.residuals import ObjectObservation, observe_fram
 from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3, so3_exp
+from std_toolkit.labels.refine_step import scene_object
+from std_toolkit.labels.texture_step import compare_objects, scene_views
 from std_toolkit.options import CheckOptions, PoseOptions
 from std_toolkit.poses.pose_step import estimate_poses
+from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.scene import Scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.real, pytest.mark.timeout(1800)]
@@ -139,4 +143,8 @@ def test_only_the_label_is_said_to_fit(labelled: Scene, axis: int, degrees: floa
 
     rank = rank_objects(labelled, {1: pose}, {1: mesh}, {1: Symmetry()}, frames)[1]
     rows = measure_residuals(labelled, {1: pose}, {1: "diffuse"}, {1: mesh}, frames[::20])[1]
-    assert (measured_verdict(rows, rank).grade == "fits") == (degrees == 0), rank
+    obj = scene_object(labelled, 1, placed, mesh=mesh)
+    obj = replace(obj, texture=TexturedSurface.from_mesh(mesh))
+    texture = compare_objects(scene_views(labelled), {1: obj}, [1])[1]
+    found = measured_verdict(rows, rank, texture)
+    assert (found.grade == "fits") == (degrees == 0), (found, rank)

@@ -34,7 +34,7 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 Array = NDArray[np.float64]
 
 _SAMPLES = 4000
-_MM, _DEG = slice(3), slice(3, 6)
+_SHIFT, _TURN = slice(3), slice(3, 6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,12 +101,12 @@ class Located:
     @property
     def mm(self) -> tuple[float, float]:
         """Length of the translation, and the largest standard deviation of one."""
-        return self._part(_MM)
+        return self._part(_SHIFT)
 
     @property
     def deg(self) -> tuple[float, float]:
         """The same of the rotation."""
-        return self._part(_DEG)
+        return self._part(_TURN)
 
     def _part(self, part: slice) -> tuple[float, float]:
         block = self.covariance[part, part]
@@ -282,8 +282,8 @@ def _inside(found: Sequence[_Explanation], options: CheckOptions) -> tuple[float
         at = one.posterior
         values, axes = np.linalg.eigh((at.covariance + at.covariance.T) / 2)
         motions = at.motion + _normal_samples() @ (axes * np.sqrt(np.maximum(values, 0))).T
-        mm = np.linalg.norm(motions[:, _MM], axis=1) <= options.max_motion_mm
-        deg = np.linalg.norm(motions[:, _DEG], axis=1) <= options.max_motion_deg
+        far, turned = (np.linalg.norm(motions[:, part], axis=1) for part in (_SHIFT, _TURN))
+        mm, deg = far <= options.max_motion_mm, turned <= options.max_motion_deg
         sums += one.weight / total * np.array([(mm & deg).mean(), mm.mean(), deg.mean()])
     both, mm_only, deg_only = (float(min(x, 1.0)) for x in sums)
     return both, mm_only, deg_only
@@ -303,7 +303,7 @@ def _verdict(
 def _is_blind(at: Located, scatter: _Scatter, options: CheckOptions) -> bool:
     """Whether a fault of twice a limit along the weakest direction would look right."""
     limits = JudgeSettings.current()
-    for part, size in ((_MM, options.max_motion_mm), (_DEG, options.max_motion_deg)):
+    for part, size in ((_SHIFT, options.max_motion_mm), (_TURN, options.max_motion_deg)):
         block = at.covariance[part, part]
         values, axes = np.linalg.eigh((block + block.T) / 2)
         if values[-1] < 1e-6:
@@ -317,11 +317,11 @@ def _is_blind(at: Located, scatter: _Scatter, options: CheckOptions) -> bool:
 
 
 def _is_noted(apart: Array | None) -> bool:
+    if apart is None:
+        return False
     limits = JudgeSettings.current()
-    return apart is not None and (
-        float(np.linalg.norm(apart[_MM])) >= limits.noted_mm
-        or float(np.linalg.norm(apart[_DEG])) >= limits.noted_deg
-    )
+    far, turned = (float(np.linalg.norm(apart[part])) for part in (_SHIFT, _TURN))
+    return far >= limits.noted_mm or turned >= limits.noted_deg
 
 
 def _sources(contour: Located | None, texture: Located | None, name: str) -> str:
@@ -336,7 +336,7 @@ def _reason(verdict: Verdict, cause: str, at: Located, apart: Array | None, said
     (mm, mm_std), (deg, deg_std) = at.mm, at.deg
     beside = ""
     if apart is not None:
-        far, turn = float(np.linalg.norm(apart[_MM])), float(np.linalg.norm(apart[_DEG]))
+        far, turn = float(np.linalg.norm(apart[_SHIFT])), float(np.linalg.norm(apart[_TURN]))
         beside = f"{far:.1f} mm and {turn:.1f} deg"
     if cause == "shape":
         return (
@@ -358,6 +358,6 @@ def _reason(verdict: Verdict, cause: str, at: Located, apart: Array | None, said
         return f"{said_by} {word} it to ± {mm_std:.1f} mm and ± {deg_std:.1f} deg"
     plural = "put" if " and " in said_by else "puts"
     return (
-        f"{said_by} {plural} it {mm:.1f} mm (± {at.along(_MM):.1f}) and {deg:.1f} deg "
-        f"(± {at.along(_DEG):.1f}) from its label"
+        f"{said_by} {plural} it {mm:.1f} mm (± {at.along(_SHIFT):.1f}) and {deg:.1f} deg "
+        f"(± {at.along(_TURN):.1f}) from its label"
     )

@@ -25,6 +25,7 @@ from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _Equations = MotionEquations | FiledEquations
@@ -47,6 +48,10 @@ class ConfirmationSettings(Settings):
         source="world seeds 0 to 15: right labels have 0.29 and more, others up to 0.15",
     )
     """the same as a part of what chance leaves"""
+    opaque_part: float = limit(
+        0.4, source="world seeds 0 to 15: right labels on opaque objects have 0.63 and more"
+    )
+    """the same for materials whose contour is not disturbed by reflections"""
     size_std: Mapping[str, float] = limit(
         {"specular": 0.014, "transparent": 0.008},
         source="reflections and refraction move the edges of contours",
@@ -139,7 +144,7 @@ def _with_motion(
     item = item.with_values([_diameter(scene, item)])
     if len(equations) < MotionSettings.current().fewest_frames:
         # Errors of mesh and lens move a whole contour in one image: its motion is no evidence.
-        few = _is_supported(support)
+        few = _is_supported(support, item.material)
         return item.with_values([_confirmation(few, support.frames, len(equations))])
     plain = motion
     sized = solve_motion(
@@ -158,7 +163,7 @@ def _with_motion(
     if abs(sized.size) > max(limits.noted_size, limits.size_deviations * size_std):
         motion, support = sized, sized_support
     at_label = pooled_support(equations, np.zeros(6))
-    shown = _seen(plain, motion, support, at_label, options)
+    shown = _seen(plain, motion, support, at_label, item.material, options)
     return item.with_values(
         [
             *_motion_values(motion, len(equations)),
@@ -295,20 +300,24 @@ def _frame_row(
     )
 
 
-def _is_supported(support: Support) -> bool:
+def _is_supported(support: Support, material: str) -> bool:
     """Whether all frames together show the object clearly.
 
     The contour of clear glass is faint: few frames tell it from chance alone.
     """
     limits = ConfirmationSettings.current()
     margin = support.share - support.chance
-    return margin > max(
-        limits.clear_deviations * support.deviation, limits.clear_part * (1 - support.chance)
-    )
+    part = limits.opaque_part if material in DIFFUSE_MATERIALS else limits.clear_part
+    return margin > max(limits.clear_deviations * support.deviation, part * (1 - support.chance))
 
 
 def _seen(
-    plain: Motion, motion: Motion, found: Support, at_label: Support, options: CheckOptions
+    plain: Motion,
+    motion: Motion,
+    found: Support,
+    at_label: Support,
+    material: str,
+    options: CheckOptions,
 ) -> str:
     """What the images show of the contour.
 
@@ -319,7 +328,7 @@ def _seen(
     """
     limits = ConfirmationSettings.current()
     left = max(1 - found.chance, 0.05)
-    if not _is_supported(found):
+    if not _is_supported(found, material):
         absent = (found.share - found.chance) / left < limits.absent_part
         return "absent" if absent else "faint"
     if motion.translation_mm[0] == 0 and motion.rotation_deg[0] == 0:

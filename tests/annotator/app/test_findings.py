@@ -190,7 +190,7 @@ def test_the_window_compares_as_the_check_does(turned: Desk) -> None:
     here = compare_textures(turned.session.snapshot(), ["box_1"], 0)["box_1"]
     turned.session.propagate(PropagateOptions())
     scene = Scene.open(root)
-    there = textures.compare_textures(scene, scene.registered_frames())[1]
+    there = textures.compare_textures(scene, scene.registered_frames())[1].comparison
     assert (here.verdict, here.text, here.frames, here.telling) == (
         there.verdict,
         there.text,

@@ -15,6 +15,7 @@ from annotator.app import mesh_import
 from annotator.app.object_summary import summarize
 from annotator.session.residuals import FrameResidual
 from std_toolkit.checks.measure.ranking import PoseRank
+from std_toolkit.labels.texture.comparison import TextureComparison
 
 
 @pytest.mark.parametrize("alone", [True, False])
@@ -46,6 +47,7 @@ def test_depth_alone_is_not_called_a_fit(bench: Bench) -> None:
     c.residuals["box_1"][0] = FrameResidual(0, 900, edge_px=0.6, edge_chance_px=4.0, depth_mm=-2.0)
     c.residuals["box_1"][1] = FrameResidual(1, 900, edge_px=0.7, edge_chance_px=4.0)
     c.ranks["box_1"] = PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
+    c.textures["box_1"] = TextureComparison("fits", None, "", 0.6, float("nan"), 2)
     panel.refresh()
     assert "It fits" in panel.summary.text()
 

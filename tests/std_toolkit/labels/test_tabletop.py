@@ -201,4 +201,4 @@ def test_the_half_turn_of_the_bottle_is_refused(bottle):
         set_pose(scene, "squeezed", 112, scene.T_world_cam(112).inverse() @ pose)
         propagate_labels(scene)
         compared = compare_textures(scene, scene.registered_frames())
-        assert compared[thing].verdict == verdict
+        assert compared[thing].comparison.verdict == verdict
