@@ -34,6 +34,8 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 Array = NDArray[np.float64]
 
 _SAMPLES = 4000
+# Covariances are filed with six digits.
+_ROUNDING = 1e-5
 _SHIFT, _TURN = slice(3), slice(3, 6)
 
 
@@ -150,7 +152,12 @@ def source(value: Value | None) -> Located | None:
     """The motion of a value of the report; None if it has none."""
     if value is None or value.motion is None or value.covariance is None:
         return None
-    return Located(np.array(value.motion), np.reshape(value.covariance, (6, 6)))
+    filed = np.reshape(value.covariance, (6, 6))
+    # Filed numbers are rounded: what a symmetry leaves open has no variance, or less.
+    values, axes = np.linalg.eigh((filed + filed.T) / 2)
+    least = _ROUNDING * max(float(values[-1]), 0.0)
+    values = np.where(values > least, values, 0.0)
+    return Located(np.array(value.motion), (axes * values) @ axes.T)
 
 
 def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
@@ -190,7 +197,8 @@ class _Scatter:
     def of(located: Located | None) -> _Scatter:
         assert located is not None
         values, axes = np.linalg.eigh((located.covariance + located.covariance.T) / 2)
-        known = axes[:, values > 1e-6 * max(float(values[-1]), 1e-12)]
+        least = _ROUNDING * max(float(values[-1]), 1e-12)
+        known = axes[:, values > least]
         return _Scatter(known @ known.T)
 
     def __call__(self, mm: float, deg: float) -> Array:
@@ -253,16 +261,16 @@ def _explanations(
 
 def _density(x: Array, covariance: Array) -> float:
     """Normal density, up to a constant."""
-    regular = covariance + 1e-6 * np.eye(6)
-    sign, log = np.linalg.slogdet(regular)
-    assert sign > 0
-    return float(np.exp(-0.5 * (x @ np.linalg.solve(regular, x) + log)))
+    values, axes = np.linalg.eigh((covariance + covariance.T) / 2)
+    values = np.maximum(values, 1e-6)
+    return float(np.exp(-0.5 * ((axes.T @ x) ** 2 / values + np.log(values)).sum()))
 
 
 def _joined(a: Located, b: Located) -> Located:
     """Two measurements weighted by their inverse covariances."""
     A, B = (np.linalg.inv(s.covariance + 1e-8 * np.eye(6)) for s in (a, b))
     covariance = np.linalg.inv(A + B)
+    covariance = (covariance + covariance.T) / 2
     return Located(covariance @ (A @ a.motion + B @ b.motion), covariance)
 
 

@@ -121,6 +121,27 @@ def test_without_a_prior_the_probability_is_that_of_a_normal_distribution() -> N
     assert found.probability == pytest.approx(exact, abs=0.02)
 
 
+def test_rounded_covariances_of_symmetric_objects_are_taken() -> None:
+    axis = np.array([0.0, 0.0, 0.0, 0.3, 0.5, 0.81])
+    axis /= np.linalg.norm(axis)
+    kept = np.eye(6) - np.outer(axis, axis)
+    rough = kept @ np.diag([0.5, 0.4, 0.9, 30.0, 40.0, 35.0]) @ kept - 2e-5 * np.outer(axis, axis)
+    covariance = [float(f"{x:.6g}") for x in rough.ravel()]
+    value = Value(key="motion_mm", source="contour", motion=[0.0] * 6, covariance=covariance)
+    confirmed = Value(key="confirmed", value=1.0, source="contour", text="yes")
+    item = ObjectCheck(
+        object=1,
+        name="can",
+        model="can",
+        category="can",
+        material="specular",
+        label="refined",
+        values=[value, confirmed],
+    )
+    found = weigh(item, OPTIONS)
+    assert found is not None and 0 <= found.probability <= 1
+
+
 def test_the_verdict_only_gets_worse_with_the_motion() -> None:
     order = ["fits", "doubtful", "wrong"]
     grades = [order.index(seen(aside(x), aside(x)).verdict) for x in np.arange(0, 9, 0.5)]
