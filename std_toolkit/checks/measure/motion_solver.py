@@ -134,7 +134,8 @@ def solve_motion(
         std = _deviation(rows, xi)
         information, squares = _information(rows, xi, std)
     covariance = np.linalg.inv(information + prior).astype(np.float64)
-    covariance *= disagreement(_by_frame(equations, xi, std))
+    if len(equations) > 1:
+        covariance *= disagreement(_by_frame(equations, xi, std))
     # px per metre and per radian.
     shared = np.diag(np.repeat([systematic_px**2 / max(s, 1e-9) for s in squares], 3))
     kept = _without(free)
