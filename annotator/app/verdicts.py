@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from annotator.app.controller import Controller
+from std_toolkit.scene.judgement import Grade
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
     from std_toolkit.checks.measure.ranking import PoseRank
     from std_toolkit.labels.texture.comparison import TextureComparison
-
-Grade = Literal["fits", "doubtful", "wrong", "unknown"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,11 +9,12 @@ import msgspec
 
 from std_toolkit.checks.detectability import Detectability
 from std_toolkit.errors import ToolkitError
+from std_toolkit.scene.judgement import Grade
 from std_toolkit.scene.model import Count, Document, ObjectId, ScaleEstimate, ScaleReport
 
 Severity = Literal["high", "medium", "low"]
 
-Verdict = Literal["fits", "doubtful", "wrong", "unknown"]
+Verdict = Grade
 
 Number = float | None
 

@@ -1,6 +1,6 @@
 """What the judge says of a label, and the evidence for it, as stored with the label."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -19,6 +19,7 @@ from std_toolkit.scene.document import (
 
 # From the best word to the worst.
 Grade = Literal["fits", "unknown", "doubtful", "wrong"]
+GRADES: tuple[Grade, ...] = get_args(Grade)
 Source = Literal["contour", "texture", "depth", "support"]
 
 # A label may move by this part of the deviation before its judgement is out of date.

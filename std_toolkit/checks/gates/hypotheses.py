@@ -25,13 +25,11 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.checks.result import ObjectCheck, Value, Verdict
 from std_toolkit.options import CheckOptions
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 4000
 # Covariances are filed with six digits.
@@ -300,12 +298,19 @@ def _inside(found: Sequence[_Explanation], options: CheckOptions) -> tuple[float
 def _verdict(
     probability: float, at: Located, scatter: _Scatter, options: CheckOptions
 ) -> tuple[Verdict, str]:
+    verdict = graded(probability)
+    if verdict != "wrong" and _is_blind(at, scatter, options):
+        blind = probability >= JudgeSettings.current().blind
+        return ("unknown", "blind") if blind else ("doubtful", "label")
+    return verdict, "" if verdict == "fits" else "label"
+
+
+def graded(probability: float) -> Verdict:
+    """The verdict that a probability gives where the evidence could show a fault."""
     limits = JudgeSettings.current()
     if probability < limits.wrong:
-        return "wrong", "label"
-    if _is_blind(at, scatter, options):
-        return ("doubtful", "label") if probability < limits.blind else ("unknown", "blind")
-    return ("fits", "") if probability >= limits.fits else ("doubtful", "label")
+        return "wrong"
+    return "fits" if probability >= limits.fits else "doubtful"
 
 
 def _is_blind(at: Located, scatter: _Scatter, options: CheckOptions) -> bool:

@@ -22,6 +22,7 @@ from std_toolkit.checks.measure.sensor_depth import common_depth_shift
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
+from std_toolkit.scene.judgement import GRADES
 from std_toolkit.scene.model import ScaleEstimate
 from std_toolkit.settings import changed
 
@@ -35,8 +36,6 @@ _FAMILIES = (
     *placement.GATES,
 )
 _added: list[Gate] = []
-# From the best verdict to the worst.
-_ORDER: tuple[result.Verdict, ...] = ("fits", "unknown", "doubtful", "wrong")
 _SEVERITY: dict[result.Severity, int] = {"high": 0, "medium": 1, "low": 2}
 
 
@@ -202,7 +201,7 @@ def _with_verdict(
 ) -> result.ObjectCheck:
     """The object with the worst verdict of its gates; "unknown" without any."""
     found = [f for gate in gates if (f := gate.finding(item, measured)) is not None]
-    verdict = max((f.verdict for f in found), key=_ORDER.index, default="unknown")
+    verdict = max((f.verdict for f in found), key=GRADES.index, default="unknown")
     return msgspec.structs.replace(item, gates=found, verdict=verdict)
 
 

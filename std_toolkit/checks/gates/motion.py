@@ -15,7 +15,7 @@ from std_toolkit.checks.gates.gate import (
     Readings,
     unlabelled,
 )
-from std_toolkit.checks.gates.hypotheses import JudgeSettings, Weighed
+from std_toolkit.checks.gates.hypotheses import Weighed, graded
 from std_toolkit.checks.measure.object_motion import ConfirmationSettings
 from std_toolkit.checks.result import CheckWarning, ObjectCheck, Verdict
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
@@ -67,7 +67,7 @@ def _motion(part: Literal["mm", "deg"]) -> Callable[[ObjectCheck, Measured], Rea
         verdict = found.verdict
         if verdict in ("doubtful", "wrong") and within > other:
             # The other part of the motion is what is wrong.
-            verdict = _graded(within)
+            verdict = graded(within)
         return Reading(
             value,
             found.located.along(where),
@@ -76,13 +76,6 @@ def _motion(part: Literal["mm", "deg"]) -> Callable[[ObjectCheck, Measured], Rea
         )
 
     return measure
-
-
-def _graded(probability: float) -> Verdict:
-    limits = JudgeSettings.current()
-    if probability < limits.wrong:
-        return "wrong"
-    return "fits" if probability >= limits.fits else "doubtful"
 
 
 def _size(item: ObjectCheck, measured: Measured) -> Reading | None:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from std_toolkit.checks.gates.gate import accepts, listed
 from std_toolkit.checks.result import CheckGate, ObjectCheck
 from std_toolkit.options import CheckOptions
-from std_toolkit.scene.judgement import Grade
+from std_toolkit.scene.judgement import GRADES, Grade
 
-# From the worst verdict on.
-_BAD: tuple[Grade, ...] = ("wrong", "doubtful", "unknown")
+# From the worst verdict on, without the best.
+_BAD = GRADES[:0:-1]
 
 
 @dataclass(frozen=True)

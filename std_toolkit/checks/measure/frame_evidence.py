@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.aggregate import AggregateSettings
 from std_toolkit.checks.measure.contours import LabelCaster, mesh_problem, object_centre
 from std_toolkit.checks.measure.frame_motion import Displaced, ObjectFrames
@@ -25,8 +25,6 @@ from std_toolkit.geometry import SE3
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 from std_toolkit.settings import Settings, limit
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,13 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.motion import FiledEquations, MotionEquations
 from std_toolkit.checks.measure.motion_solver import solve_motion
 from std_toolkit.checks.measure.residuals import ObjectObservation
 from std_toolkit.checks.measure.wide_search import SearchedView
 from std_toolkit.settings import Settings, limit
 
-Array = NDArray[np.float64]
 Equations = MotionEquations | FiledEquations
 
 # Contours that lie beside the object by chance, and the number of frames they are read in.

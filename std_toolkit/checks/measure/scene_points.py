@@ -15,14 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.contours import LabelCaster
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.se3 import so3_log
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.settings import Settings, limit
-
-Array = NDArray[np.float64]
 
 _MOST_FEATURES = 800
 # Images are matched at most this wide: more pixels give no more places on a table.

@@ -13,13 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.contours import Contour, LabelCaster, trace_contour
 from std_toolkit.checks.measure.edges import noise_level, read_profiles, smooth_image
 from std_toolkit.checks.measure.motion import MotionEquations, motion_equations
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.settings import Settings, limit
-
-Array = NDArray[np.float64]
 
 # Slopes are read at half the resolution, on a grid of this step in px of the image.
 _SCALE = 2

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.se3 import so3_exp, so3_log
 from std_toolkit.labels.refine.problem import RefineObject
@@ -35,8 +36,6 @@ from std_toolkit.labels.texture.features import (
 from std_toolkit.labels.texture.scores import TextureWindow
 from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
-
-Array = NDArray[np.float64]
 
 # Weak expectation of a motion: metres and radians.
 _PRIOR = np.array([0.05] * 3 + [0.3] * 3)
@@ -76,16 +75,12 @@ class TextureMotion:
         vector: (6,), see the module.
         covariance: (6, 6).
         agreement: correlation of texture and photos after the motion, mean over the views.
-        at_label: the same before it.
-        residual_px: what the views' own shifts differ from the motion, root mean square.
         frames: ids of the views that were used.
     """
 
     vector: Array
     covariance: Array
     agreement: float
-    at_label: float
-    residual_px: float
     frames: tuple[int, ...]
 
 
@@ -133,7 +128,6 @@ def texture_motion(
     drawn = _draw(windows, surface, T, centre)
     if len(drawn) < limits.fewest_views:
         return None
-    at_label = _agreement(drawn, np.zeros(6))
     xi = _by_shifts(drawn, prior, limits.reach)
     for k in range(_ROUNDS):
         T = _moved(T, xi, centre)
@@ -148,8 +142,8 @@ def texture_motion(
     found = _agreement(drawn, xi)
     if found < limits.agreement:
         return None
-    covariance, residual = _covariance(drawn, xi, prior, obj.radius)
-    return TextureMotion(vector, covariance, found, at_label, residual, tuple(i for i, _ in drawn))
+    covariance = _covariance(drawn, xi, prior, obj.radius)
+    return TextureMotion(vector, covariance, found, tuple(i for i, _ in drawn))
 
 
 def _moved(T: SE3, xi: Array, centre: Array) -> SE3:
@@ -290,8 +284,8 @@ def _agreement(drawn: Sequence[tuple[int, _Drawing]], xi: Array) -> float:
 
 def _covariance(
     drawn: Sequence[tuple[int, _Drawing]], xi: Array, prior: Array, radius: float
-) -> tuple[Array, float]:
-    """(6, 6) covariance of the motion, and the scatter of the views about it in pixels.
+) -> Array:
+    """(6, 6) covariance of the motion.
 
     Each view has one further shift of its own: what cameras, lens and mesh are wrong by.
     """
@@ -316,4 +310,4 @@ def _covariance(
     # A texture that is shifted on each side of the mesh looks like a shift and a turn.
     covariance[:3, :3] += limits.placed_m**2 * np.eye(3)
     covariance[3:, 3:] += (limits.placed_m / radius) ** 2 * np.eye(3)
-    return covariance, residual
+    return np.asarray(covariance)

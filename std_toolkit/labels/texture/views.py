@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.labels.refine.problem import RefineView, large_views
 from std_toolkit.labels.texture.features import agreement, contrast, inner_mask, strength
 from std_toolkit.labels.texture.scores import TextureViewSettings
 from std_toolkit.rendering.texture import TexturedSurface, TexturePicture
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
-
-Array = NDArray[np.float64]
 
 # Frames that show an object large, and those that are searched for telling ones.
 FRAMES, _SEARCHED = 6, 32
