@@ -16,6 +16,9 @@ from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_colmap_p
 from std_toolkit.poses.features import Features
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
+# From this number of images the conjugate gradient method is faster than a factorisation.
+_DIRECT_IMAGES = 150
+
 
 @dataclass(frozen=True, kw_only=True)
 class MappingSettings(Settings):
@@ -182,6 +185,8 @@ def adjustment_options(*, refine: Refinement, threads: int | None) -> Any:
     options.ceres.loss_function_type = pycolmap.LossFunctionType.HUBER
     options.ceres.loss_function_scale = 3.0
     options.ceres.use_gpu = False
+    # A direct solver takes memory with the square and time with the cube of the number of images.
+    options.ceres.max_num_images_direct_sparse_cpu_solver = _DIRECT_IMAGES
     options.ceres.solver_options.max_num_iterations = 200
     options.ceres.solver_options.function_tolerance = 1e-9
     options.ceres.solver_options.num_threads = -1 if threads is None else threads
