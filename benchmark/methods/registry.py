@@ -128,6 +128,7 @@ restorers: MethodRegistry[Restorer] = MethodRegistry(
         "joint-bilateral": "benchmark.methods.depth.filling.inpainting:JointBilateral",
         "colorization": "benchmark.methods.depth.filling.colorization:Colorization",
         "planes": "benchmark.methods.depth.filling.planes:Planes",
+        "compactdr": "benchmark.methods.depth.compactdr:CompactDR",
         "swindrnet": "benchmark.methods.depth.swindrnet.swindrnet:SwinDRNet",
         "nlspn": "benchmark.methods.depth.nlspn:NLSPN",
         "lidf": "benchmark.methods.depth.lidf.lidf:LIDF",

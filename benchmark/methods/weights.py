@@ -36,6 +36,8 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
     (SWINDRNET, ("backbone_rgb_branch.", "decode_head_depth_restoration.")),
     ("SwinDRNet of one stream", ("backbone.patch_embed.", "decode_head_depth_restoration.")),
     ("SwinDRNet's pose network", ("backbone_rgb_branch.",)),
+    ("CompactDR", ("encoder.stem.", "of_depth.", "narrow.")),
+    ("EfficientNet-Lite (ImageNet)", ("_conv_stem.", "_blocks.")),
     ("NLSPN", ("conv1_dep.", "prop_layer.")),
     ("DFNet", ("stem.", "skips.", "downs.", "ups.")),
     ("DFNet of its authors", ("first.", "dense1s.layers.", "updense4_duc.")),

@@ -26,6 +26,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "lidf": ("zhu2021lidf",),
     "cleargrasp": ("sajjan2020cleargrasp",),
     "dfnet": ("fang2022transcg",),
+    "compactdr": ("tan2019efficientnet",),
     "two-branch": ("dai2022dreds", "qi2017pointnetpp"),
     # Pose and grasp methods.
     "nocs": ("wang2019nocs",),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchmark.evaluation.frames import check_restored
 from benchmark.methods import protocol
-from benchmark.methods.depth.full_size import sensor_view, to_full_size
+from benchmark.methods.depth.full_size import sensor_view, to_full_size, working_size
 from benchmark.methods.registry import (
     MethodOptions,
     make_restorer,
@@ -173,7 +173,8 @@ class Restorer:
                 "the sensor measured nothing, so that nobody knows how far away anything is",
                 field="depth",
             )
-        view = sensor_view(color, sensor, camera, self.method.input_size)
+        size = working_size(self.method, camera.size)
+        view = sensor_view(color, sensor, camera, size)
         answers = self.method.restore([view])
         if len(answers) != 1:
             raise ToolkitError(f"the method gave {len(answers)} answers to one view")

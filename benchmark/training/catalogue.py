@@ -92,6 +92,7 @@ trainables: Registry[Trainable] = Registry(
     "std_toolkit.trainables",
     {
         "swindrnet": "benchmark.training.depth.depth_catalogue:SWINDRNET_TRAINING",
+        "compactdr": "benchmark.training.depth.depth_catalogue:COMPACTDR_TRAINING",
         "nlspn": "benchmark.training.depth.depth_catalogue:NLSPN_TRAINING",
         "dfnet": "benchmark.training.depth.depth_catalogue:DFNET_TRAINING",
         "two-branch": "benchmark.training.depth.depth_catalogue:TWO_BRANCH_TRAINING",

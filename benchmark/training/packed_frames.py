@@ -160,13 +160,13 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
 
 
 def fitting_frames(folders: Sequence[Path], config: Any) -> PackedFrames:
-    """The frames of packs for a network of this configuration.
+    """The frames of packs for a network of this configuration, which may take any size.
 
     Raises:
         ToolkitError: no pack, or one of another size than the network's.
     """
-    frames, size = PackedFrames(folders), config.input_size
-    if frames.size != size:
+    frames, size = PackedFrames(folders), getattr(config, "input_size", None)
+    if size is not None and frames.size != size:
         raise ToolkitError(
             f"frames are packed at {frames.size[0]}x{frames.size[1]}, "
             f"the network works at {size[0]}x{size[1]}",

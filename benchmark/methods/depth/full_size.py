@@ -101,10 +101,22 @@ def restorer_view(
     """
     return view_of(
         frame,
-        restorer.input_size or size,
+        working_size(restorer, frame.camera.size) or size,
         with_mask=restorer.needs_mask,
         color_nearest=size is not None,
     )
+
+
+def working_size(restorer: Restorer, size: tuple[int, int]) -> tuple[int, int] | None:
+    """(width, height) at which a restorer sees images of a size; None where they stay as they are.
+
+    A restorer for images of any size may have `longest`, the pixels of their longer side at most.
+    """
+    longest = getattr(restorer, "longest", None)
+    if restorer.input_size is not None or longest is None or max(size) <= longest:
+        return restorer.input_size
+    width, height = (max(round(side * longest / max(size)), 1) for side in size)
+    return width, height
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,8 @@ from torch import Tensor, nn
 
 from benchmark.methods.depth.cleargrasp.cleargrasp_network import PRESETS as CLEARGRASP
 from benchmark.methods.depth.cleargrasp.cleargrasp_network import ClearGraspNetwork
+from benchmark.methods.depth.compactdr import PRESETS as COMPACTDR
+from benchmark.methods.depth.compactdr import CompactDRNetwork
 from benchmark.methods.depth.dfnet import PRESETS as DFNET
 from benchmark.methods.depth.dfnet import DFNetwork
 from benchmark.methods.depth.lidf.lidf import LIDFNetwork
@@ -21,6 +23,7 @@ from benchmark.methods.depth.swindrnet.swindrnet_network import PRESETS as SWIND
 from benchmark.methods.depth.swindrnet.swindrnet_network import SwinDRNetwork
 from benchmark.methods.depth.two_branch import PRESETS as TWO_BRANCH
 from benchmark.methods.depth.two_branch import TwoBranchNetwork
+from benchmark.methods.efficientnet import load_imagenet as load_efficientnet
 from benchmark.methods.torch_camera import points_of
 from benchmark.training import step
 from benchmark.training.catalogue import Trainable
@@ -28,10 +31,24 @@ from benchmark.training.config import ADAM, Optimization
 from benchmark.training.depth import (
     cleargrasp_losses,
     cleargrasp_training,
+    compactdr_training,
     depth_losses,
     lidf_training,
 )
 from benchmark.training.validation import DepthValidator
+
+COMPACTDR_TRAINING = Trainable(
+    presets=COMPACTDR,
+    network=CompactDRNetwork,
+    loss=compactdr_training.CompactDRLoss(),
+    step=compactdr_training.compactdr_step,
+    optimization=Optimization(learning_rate=1e-3, batch_size=16, epochs=40, warmup_steps=200),
+    colors=True,
+    geometry=True,
+    imagenet=lambda network, path: load_efficientnet(network.encoder, path),
+    channels_last=True,
+)
+
 
 NLSPN_TRAINING = Trainable(
     presets=NLSPN,

@@ -109,7 +109,7 @@ def test_training_learns(method, pack, tmp_path):
     settings, rate = dict(TINY[method]), 3e-3
     if method in ("swindrnet", "two-branch"):
         settings, rate = settings | {"drop_path": "0", "dropout": "0"}, 1e-2
-    if method == "cleargrasp":
+    if method in ("cleargrasp", "compactdr"):
         rate = 1e-2
     asked = wishes(
         method, pack, settings=settings, steps=80, learning_rate=rate, colors="off",

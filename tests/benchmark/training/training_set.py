@@ -29,6 +29,7 @@ TINY = {
         "heads": "1,1,1,1",
         "head_channels": "8",
     },
+    "compactdr": {"depth_channels": "8,8,8,8,8", "channels": "8,8,8,8,8"},
     "nlspn": {
         "input_size": f"{SIDE},{SIDE}",
         "channels": "8",

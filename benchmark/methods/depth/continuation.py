@@ -1,0 +1,93 @@
+"""Continuation of the trusted depth into holes, as a layer of networks.
+
+The inverse depth of a plane is linear in the image, so that a harmonic function continues a table
+exactly. It is found from coarse to fine: at each level the unknown pixels begin at the coarser
+level's values and become means of their neighbours a few times (Jacobi's method). What is continued
+so is the difference from the plane that most of the image lies on, which goes on beyond the border.
+"""
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate, pad
+
+from benchmark.methods.relative_depth import mean_depth
+
+_ROUNDS = 8  # of averaging at each level
+_SMALL = 1e-6
+# Weighted fits of the plane, and the difference in inverse depth, relative to its mean, from which
+# on a pixel hardly counts: that of an object of 5 cm on a table 1 m away.
+_FITS, _OFF = 6, 0.05
+
+
+def continued(depth: Tensor, weight: Tensor) -> Tensor:
+    """(b, 1, h, w) metres everywhere; differentiable in `weight`.
+
+    Args:
+        depth: (b, 1, h, w) metres, 0 where nothing was measured.
+        weight: (b, 1, h, w) trust in each measurement, in [0, 1].
+
+    An image without any trusted measurement continues the mean of all, or 1 m without any.
+    """
+    measured = depth > 0
+    weight = weight * measured
+    inverse = measured / depth.clamp(min=_SMALL)
+    plane = main_plane(inverse, weight)
+    inverse = inverse - plane
+    values, weights = [inverse * weight], [weight]
+    while max(values[-1].shape[-2:]) > 1:
+        values.append(avg_pool2d(values[-1], 2, ceil_mode=True, count_include_pad=False))
+        weights.append(avg_pool2d(weights[-1], 2, ceil_mode=True, count_include_pad=False))
+    found = torch.zeros_like(values[-1])
+    for value, sure in zip(reversed(values), reversed(weights), strict=True):
+        found = interpolate(found, size=value.shape[-2:], mode="bilinear", align_corners=False)
+        # A pixel of a coarse level is known as far as its part of the image is.
+        share = sure / (sure + _SMALL)
+        known = value / (sure + _SMALL)
+        found = share * known + (1 - share) * found
+        if max(value.shape[-2:]) > 2:
+            for _ in range(_ROUNDS):
+                found = share * known + (1 - share) * _around(found)
+    # Where the plane comes near its horizon the image is at most four times as far as its mean.
+    least = 0.25 / mean_depth(depth)
+    return 1 / torch.maximum(found + plane, least)
+
+
+def main_plane(inverse: Tensor, weight: Tensor) -> Tensor:
+    """(b, 1, h, w) inverse depth of the plane that most of the weight lies near.
+
+    Args:
+        inverse: (b, 1, h, w) 1 / metres.
+        weight: (b, 1, h, w); an image of weight 0 has the inverse depth 1 everywhere.
+    """
+    h, w = inverse.shape[-2:]
+    v = torch.linspace(-1, 1, h, device=inverse.device, dtype=inverse.dtype).reshape(1, 1, h, 1)
+    u = torch.linspace(-1, 1, w, device=inverse.device, dtype=inverse.dtype).reshape(1, 1, 1, w)
+    believed = weight.detach()
+    plane = torch.zeros_like(inverse)
+    for _ in range(_FITS):
+        total = _sum(believed).clamp(min=_SMALL)
+
+        def mean(values: Tensor, weight: Tensor = believed, total: Tensor = total) -> Tensor:
+            return _sum(values * weight) / total
+
+        mid_u, mid_v, mid = mean(u), mean(v), mean(inverse)
+        du, dv, d = u - mid_u, v - mid_v, inverse - mid
+        uu, vv, uv = mean(du * du) + _SMALL, mean(dv * dv) + _SMALL, mean(du * dv)
+        ud, vd = mean(du * d), mean(dv * d)
+        determinant = (uu * vv - uv * uv).clamp(min=_SMALL**2)
+        across, down = (ud * vv - vd * uv) / determinant, (vd * uu - ud * uv) / determinant
+        plane = mid + across * du + down * dv
+        off = (inverse - plane) / (_OFF * mid.clamp(min=_SMALL))
+        believed = weight.detach() / (1 + off.square()).square()
+    return torch.where(_sum(weight) > 0, plane, torch.ones_like(plane))
+
+
+def _sum(images: Tensor) -> Tensor:
+    return images.sum(dim=(2, 3), keepdim=True)
+
+
+def _around(image: Tensor) -> Tensor:
+    """Mean of the four neighbours; beyond the border the image goes on as it is at it."""
+    wide = pad(image, (1, 1, 1, 1), mode="replicate")
+    rows = wide[..., :-2, 1:-1] + wide[..., 2:, 1:-1]
+    return (rows + wide[..., 1:-1, :-2] + wide[..., 1:-1, 2:]) / 4

@@ -1,0 +1,170 @@
+"""Training of CompactDR: what each of its answers should be, and the loss."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
+
+from benchmark.data.frame import Material
+from benchmark.methods.depth.compactdr import CompactDRNetwork, Looked
+from benchmark.training import step
+from benchmark.training.depth.cleargrasp_losses import IGNORED, Outlines, outlines_of
+from benchmark.training.depth.depth_losses import sobel, whole_around
+
+# Weights of classes of edges: none, occlusion, contact. Most pixels are of none.
+_EDGE_WEIGHTS = (1.0, 5.0, 5.0)
+
+# Relative error whose square weighs as much as itself, and from which on it grows no faster.
+_USUAL, _FAR = 0.05, 0.2
+
+
+class CompactDRTarget(NamedTuple):
+    """What the network should say of a batch.
+
+    Attributes:
+        depth: true depth and what belongs to it.
+        masks: (b, 2, h, w) float, 1 on glass and on metal.
+        outlines: normals and edges.
+    """
+
+    depth: step.Target
+    masks: Tensor
+    outlines: Outlines
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompactDRLoss:
+    """Weighted sum of the losses of all answers, each a mean over the pixels with truth.
+
+    Depths are compared relative to the true one. Pixels of glass and metal count `clear` times,
+    those of other objects `objects` times as much as the background.
+
+    Attributes:
+        depth: weight of the final depth: absolute error, and its square over 5 %.
+        answer: the same of what the sensor's trust did not decide.
+        moved: the same of the residual's depth alone, on glass and metal.
+        slopes: Sobel sums of the error of the answer.
+        masks, edges, normals, trust, off: of the heads.
+        spread: negative logarithm of the Laplace density of the error.
+        clear, objects: see above.
+        right_mm, right_share: a measurement is right within the larger of the two, the second a
+            share of its depth.
+        off_mm, off_share: the continuation is not what is there from twice as much.
+        gap: metres; neighbours farther apart in depth have an occlusion edge between them.
+    """
+
+    depth: float = 10.0
+    answer: float = 5.0
+    moved: float = 5.0
+    slopes: float = 1.0
+    masks: float = 1.0
+    edges: float = 0.2
+    normals: float = 0.2
+    trust: float = 0.5
+    off: float = 0.5
+    spread: float = 0.05
+    clear: float = 4.0
+    objects: float = 2.0
+    right_mm: float = 5.0
+    right_share: float = 0.01
+    off_mm: float = 5.0
+    off_share: float = 0.01
+    gap: float = 0.01
+
+    def __call__(self, looked: Looked, target: CompactDRTarget) -> step.Loss:
+        true, sensor = target.depth.depth, target.depth.sensor
+        assert sensor is not None  # as the step gives it
+        known = true > 0
+        is_clear = target.masks.amax(dim=1, keepdim=True) > 0
+        weight = (
+            1
+            + (self.objects - 1) * target.depth.foreground
+            + (self.clear - self.objects) * (is_clear & target.depth.foreground)
+        )
+        weight = weight * known
+        parts = {
+            "depth": self._of_depth(looked.depth, true, weight),
+            "answer": self._of_depth(looked.answer, true, weight),
+            "moved": self._of_depth(looked.moved, true, weight * is_clear),
+            "masks": self._of_masks(looked.masks, target.masks),
+            "edges": self._of_edges(looked.edges, target.outlines),
+            "normals": self._of_normals(looked.normals, target.outlines),
+        }
+        error = _relative(looked.answer - true, true, known)
+        steeper = sobel(error).abs().sum(dim=1, keepdim=True)
+        parts["slopes"] = step.weighted_mean(steeper, weight * whole_around(known))
+        measured = (sensor > 0) & known
+        right = (sensor - true).abs() <= _limit(true, self.right_mm, self.right_share)
+        parts["trust"] = _of_logits(looked.trust, right, weight * measured)
+        off = (looked.base.detach() - true).abs() > _limit(true, self.off_mm, self.off_share)
+        parts["off"] = _of_logits(looked.off, off, weight)
+        spread = looked.spread / true.clamp(min=0.05)
+        apart = _relative(looked.depth - true, true, known).abs().detach()
+        parts["spread"] = step.weighted_mean(apart / spread + spread.log(), weight)
+        total = torch.stack([getattr(self, name) * part for name, part in parts.items()]).sum()
+        return step.Loss(total, {name: part.detach() for name, part in parts.items()})
+
+    def _of_depth(self, depth: Tensor, true: Tensor, weight: Tensor) -> Tensor:
+        error = _relative(depth - true, true, weight > 0).abs()
+        near = error.clamp(max=_FAR)
+        return step.weighted_mean(error + near * (2 * error - near) / _USUAL, weight)
+
+    def _of_masks(self, masks: Tensor, wanted: Tensor) -> Tensor:
+        """Cross entropy, and one less the soft Dice overlap: glass is a small part of images."""
+        entropy = binary_cross_entropy_with_logits(masks, wanted)
+        said = masks.sigmoid()
+        both = (said * wanted).sum(dim=(0, 2, 3))
+        either = said.sum(dim=(0, 2, 3)) + wanted.sum(dim=(0, 2, 3))
+        return entropy + (1 - (2 * both + 1) / (either + 1)).mean()
+
+    def _of_edges(self, edges: Tensor, outlines: Outlines) -> Tensor:
+        weights = edges.new_tensor(_EDGE_WEIGHTS)
+        classes = outlines.boundaries
+        total = cross_entropy(edges, classes, weights, ignore_index=IGNORED, reduction="sum")
+        known = classes != IGNORED
+        return total / (weights[classes.clamp(min=0)] * known).sum().clamp(min=1)
+
+    def _of_normals(self, normals: Tensor, outlines: Outlines) -> Tensor:
+        known = outlines.normals.square().sum(dim=1, keepdim=True) > 0.5
+        bent = 1 - (normals * outlines.normals).sum(dim=1, keepdim=True)
+        return step.mean_where(bent, known)
+
+
+def _relative(error: Tensor, true: Tensor, known: Tensor) -> Tensor:
+    """Error as a share of the true depth; 0 where that is unknown."""
+    return error.masked_fill(~known, 0.0) / true.clamp(min=0.05)
+
+
+def _limit(true: Tensor, mm: float, share: float) -> Tensor:
+    return (share * true).clamp(min=mm / 1000)
+
+
+def _of_logits(logits: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
+    entropy = binary_cross_entropy_with_logits(logits, wanted.to(logits.dtype), reduction="none")
+    return step.weighted_mean(entropy, weight)
+
+
+def compactdr_target(
+    batch: step.Batch, loss: CompactDRLoss, sensor: Tensor | None = None
+) -> CompactDRTarget:
+    """What the network should say of a batch, whose depth the network saw as `sensor`."""
+    masks = [step.made_of(batch, one) for one in (Material.TRANSPARENT, Material.SPECULAR)]
+    outlines = outlines_of(batch["true"][:, None], batch["mask"], batch["K"], loss.gap)
+    return CompactDRTarget(
+        step.target_of(batch)._replace(sensor=sensor), torch.stack(masks, dim=1).float(), outlines
+    )
+
+
+def compactdr_step(
+    network: nn.Module,
+    loss: Any,
+    inputs: step.ModelInput,
+    step_info: step.StepInfo,  # noqa: ARG001
+) -> step.Loss:
+    """The step of a network that answers with `Looked`."""
+    looked = cast(CompactDRNetwork, network).look(inputs.color, inputs.depth)
+    looked = Looked(*(one.float() for one in looked))
+    with torch.autocast(inputs.color.device.type, enabled=False):
+        return loss(looked, compactdr_target(inputs.batch, loss, inputs.depth))
