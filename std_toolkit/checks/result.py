@@ -192,7 +192,7 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             texture_mm: translation and rotation from the label to where the texture agrees with the
             images.
             pose_mm, pose_deg: the same by all evidence; the text is the cause: "label", "shape",
-            "texture", "blind" or "".
+            "texture", "blind", "misled" or "".
             within: probability that the label lies within the limits; its text is the reason of the
             verdict on the pose.
             size_m: diagonal of the bounding box of the mesh.

@@ -99,7 +99,7 @@ def judge_scene(
     rows = aggregate.check_frames(scene, observed, problems)
     materials = aggregate.check_materials(scene, observed)
     objects = textures.with_textures(objects, compared or {})
-    objects = with_motions(scene, objects, observed, options)
+    objects = with_motions(scene, objects, observed, options, up=up)
     objects = with_placements(scene, objects)
     summary = _summary(scene, objects, rows, observed, bias)
     summary = msgspec.structs.replace(summary, sizes=sizes)
