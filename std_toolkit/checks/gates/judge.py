@@ -19,6 +19,7 @@ from std_toolkit.checks.measure.frame_evidence import frame_evidence
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.placements import with_placements
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
+from std_toolkit.checks.measure.standing import with_standing
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
@@ -101,6 +102,7 @@ def judge_scene(
     objects = textures.with_textures(objects, compared or {})
     objects = with_motions(scene, objects, observed, options, up=up)
     objects = with_placements(scene, objects)
+    objects = with_standing(scene, objects, up=up)
     summary = _summary(scene, objects, rows, observed, bias)
     summary = msgspec.structs.replace(summary, sizes=sizes)
     report = judge_rows(

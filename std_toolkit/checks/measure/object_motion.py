@@ -71,9 +71,9 @@ class ConfirmationSettings(Settings):
     missed_std: float = limit(0.12, source=NOT_RECORDED)
     """a contour that is not there counts where its support is known to this deviation"""
     absent_part: float = limit(
-        0.25, source="world seed 503 of setting kinds: a right label on glass has 0.15 +- 0.11"
+        0.25, source="world seeds 503 and 519 of setting kinds: right labels on glass have 0.12"
     )
-    """a contour whose support and deviation are less than this part of what chance leaves is not
+    """a contour whose support is two deviations below this part of what chance leaves is not
     there"""
     aside_part: float = limit(
         0.15, source="world seeds 0 to 15: right labels keep 0.2, labels 8 mm off up to 0.15"
@@ -364,7 +364,7 @@ def _seen(
     limits = ConfirmationSettings.current()
     left = max(1 - found.chance, 0.05)
     if not _is_supported(found, material):
-        absent = (found.share - found.chance + found.deviation) / left < limits.absent_part
+        absent = (found.share - found.chance + 2 * found.deviation) / left < limits.absent_part
         return "absent" if absent else "faint"
     still = motion.translation_mm[0] == 0 and motion.rotation_deg[0] == 0
     if still and at_label.share - at_label.chance < limits.aside_part * left:
