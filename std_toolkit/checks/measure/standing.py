@@ -42,7 +42,7 @@ class StandingCheckSettings(Settings):
     """deviation of the heights of contacts"""
     level_std_rad: float = limit(np.radians(0.3), unit="rad", source="the same scenes")
     """deviation of the slope of the plane, and of the face on which an object stands"""
-    mesh_part: float = limit(0.003, source="the same scenes: sizes of meshes differ by 1 to 3 %")
+    mesh_part: float = limit(0.002, source="the same scenes: sizes of meshes differ by 1 to 3 %")
     """the same in parts of the object's size"""
 
 
@@ -162,15 +162,16 @@ def _motion(foot: Foot, plane: _Plane, centre: Array, free: Array) -> Value | No
         return None
     arm = foot.contacts - centre
     J = np.concatenate([np.tile(normal, (len(arm), 1)), np.cross(arm, normal)], axis=1)
-    own = float(np.hypot(limits.uneven_m, limits.mesh_part * foot.size))
     # Three contacts carry an object, however many corners its face has; the height of the plane,
     # and that of the foot of a mesh, are common to all.
-    information = 3 / len(J) / own**2 * J.T @ J
-    gradient = -3 / len(J) / own**2 * J.T @ above
+    weight = 3 / len(J) / limits.uneven_m**2
+    information = weight * J.T @ J
+    gradient = -weight * J.T @ above
+    own = limits.mesh_part * foot.size
     inverse = np.linalg.inv(information + np.diag(1 / _OPEN**2))
     motion = inverse @ gradient
     common = J.mean(axis=0)
-    shared = inverse @ (3 / own**2 * common)
+    shared = inverse @ (weight * len(J) * common)
     covariance = inverse + np.outer(shared, shared) * (plane.std**2 + own**2)
     covariance[3:, 3:] += limits.level_std_rad**2 * (np.eye(3) - np.outer(normal, normal))
     if len(free):
