@@ -8,7 +8,7 @@ say nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.checks.result import ObjectCheck, Value
+from std_toolkit.geometry import SE3
 from std_toolkit.labels.support.solid import PlacedObject
 from std_toolkit.scene import Scene
 from std_toolkit.settings import Settings, limit
@@ -34,16 +35,24 @@ class StandingCheckSettings(Settings):
     """other objects that must stand on one plane"""
     agree_m: float = limit(0.004, unit="m", source="the limit of a label's translation")
     """largest distance of their lowest points from it"""
-    level_rad: float = limit(np.radians(12.0), unit="rad", source="tables are level")
-    """largest angle between a plane and the horizon, and between an object and its resting face"""
+    agree_slope: float = limit(0.015, source="resting faces of labels 1 deg off")
+    """the same in parts of the distance between the objects"""
+    cone_rad: float = limit(np.radians(50.0), unit="rad", source="cameras 10 to 80 deg above it")
+    """largest angle between the normal of a plane and what the cameras take for up"""
+    level_rad: float = limit(np.radians(12.0), unit="rad", source="faults up to 10 deg")
+    """largest angle between an object and its resting face"""
     reach_m: float = limit(0.02, unit="m", source="faults of labels; stacks are higher")
     """largest height at which an object can stand on the plane"""
     uneven_m: float = limit(0.0005, unit="m", source="world seeds 400 to 519 of setting kinds")
     """deviation of the heights of contacts"""
     level_std_rad: float = limit(np.radians(0.3), unit="rad", source="the same scenes")
     """deviation of the slope of the plane, and of the face on which an object stands"""
-    mesh_part: float = limit(0.002, source="the same scenes: sizes of meshes differ by 1 to 3 %")
-    """the same in parts of the object's size"""
+    mesh_part: float = limit(0.003, source="the same scenes: sizes of meshes differ by 1 to 3 %")
+    """deviation of the height of a foot, in parts of the object's size"""
+
+
+# Planes that are tried for each object: those on which it stands best.
+_MOST_FACES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +62,7 @@ class Foot:
     Attributes:
         contacts: (N, 3) points of the face in the world.
         level: (3,) its upward normal.
-        tilt: angle between them, radians.
+        tilt: angle between it and the plane, radians.
         size: of the object, metres.
     """
 
@@ -64,7 +73,7 @@ class Foot:
 
     @staticmethod
     def of(placed: PlacedObject, up: Array) -> Foot:
-        """Of an object at its label; `up` is a unit vector (3,)."""
+        """Of an object at its label; `up` is the normal of a plane (3,)."""
         T, solid = placed.T_frame_obj, placed.solid
         down, tilt = solid.resting.nearest(-T.R.T @ up)
         along = solid.hull @ down
@@ -90,67 +99,128 @@ class _Plane:
     count: int
 
 
-def with_standing(scene: Scene, objects: Sequence[ObjectCheck], *, up: Array) -> list[ObjectCheck]:
-    """The rows with `standing_mm`: the motion from the label to the plane of the other objects.
+class Standing:
+    """Planes on which labelled objects stand.
 
     Args:
-        scene: with its labels.
-        objects: the rows.
-        up: (3,) unit vector that points up in the world.
+        placed: objects at their labels, by id.
+        cameras: T_world_cam of the frames.
+        up: (3,) what is taken for up, roughly.
     """
-    feet: dict[int, Foot] = {}
+
+    def __init__(
+        self, placed: Mapping[int, PlacedObject], cameras: Sequence[SE3], up: Array
+    ) -> None:
+        self._placed = placed
+        self._up = up
+        # Own object, normal, and the objects that stand on the plane of its face.
+        self._planes: list[tuple[int, Array, frozenset[int]]] = []
+        limits = StandingCheckSettings.current()
+        seen_from = np.array([T.t for T in cameras]).reshape(-1, 3)
+        likely = [up, *_between(cameras)]
+        for i, obj in placed.items():
+            normals = -(obj.T_frame_obj.R @ obj.solid.resting.down.T).T
+            near = np.max([normals @ u for u in likely], axis=0)
+            steady = np.where(near >= np.cos(limits.cone_rad), obj.solid.resting.steady, -1.0)
+            for k in np.argsort(-steady)[:_MOST_FACES]:
+                if steady[k] > 0 and (seen_from @ normals[k] > self._low(i, normals[k])).all():
+                    self._planes.append((i, normals[k], self._on(i, normals[k])))
+
+    def has(self, object_id: int) -> bool:
+        """Whether an object has a label and a mesh."""
+        return object_id in self._placed
+
+    @property
+    def up(self) -> Array:
+        """(3,) normal of the plane on which most objects stand; what is taken for up without."""
+        best = max(self._planes, key=lambda p: (len(p[2]), p[1] @ self._up), default=None)
+        if best is None or len(best[2]) < StandingCheckSettings.current().fewest:
+            return self._up
+        return best[1]
+
+    def value(self, object_id: int, centre: Array, free: Array) -> Value | None:
+        """The motion from a label to the plane of the others; None where there is none.
+
+        Args:
+            object_id: of the object.
+            centre: (3,) of it, in the world.
+            free: (N, 6) motions that its symmetry leaves open.
+        """
+        fewest = StandingCheckSettings.current().fewest
+        found = [(on - {object_id}, n) for i, n, on in self._planes if i != object_id]
+        others, normal = max(
+            found, key=lambda p: (len(p[0]), p[1] @ self._up), default=(frozenset(), self._up)
+        )
+        if len(others) < fewest:
+            return None
+        plane = self._fitted(others, normal)
+        return _motion(Foot.of(self._placed[object_id], plane.normal), plane, centre, free)
+
+    def _low(self, object_id: int, normal: Array) -> float:
+        obj = self._placed[object_id]
+        return float((obj.T_frame_obj @ obj.solid.hull @ normal).min())
+
+    def _on(self, own: int, normal: Array) -> frozenset[int]:
+        """The objects that stand on the plane of a face of one of them."""
+        limits = StandingCheckSettings.current()
+        low, there = self._low(own, normal), self._placed[own].T_frame_obj.t
+        found = {own}
+        for j, obj in self._placed.items():
+            away = limits.agree_slope * float(np.linalg.norm(obj.T_frame_obj.t - there))
+            if abs(self._low(j, normal) - low) <= limits.agree_m + away:
+                _, tilt = obj.solid.resting.nearest(-obj.T_frame_obj.R.T @ normal)
+                if tilt <= limits.level_rad:
+                    found.add(j)
+        return frozenset(found)
+
+    def _fitted(self, chosen: Collection[int], normal: Array) -> _Plane:
+        limits = StandingCheckSettings.current()
+        feet = [Foot.of(self._placed[i], normal) for i in sorted(chosen)]
+        normal = np.mean([f.level for f in feet], axis=0)
+        normal /= np.linalg.norm(normal)
+        heights = np.array([float((f.contacts @ normal).mean()) for f in feet])
+        spread = max(limits.uneven_m, float(np.std(heights)))
+        std = float(spread / np.sqrt(len(feet)))
+        return _Plane(normal, float(np.median(heights)), std, len(feet))
+
+
+def _between(cameras: Sequence[SE3]) -> list[Array]:
+    """(3,) the middle between the cameras' up and backward directions: up for a view from above."""
+    if not cameras:
+        return []
+    up, back = (np.mean([T.R @ d for T in cameras], axis=0) for d in ([0, -1, 0], [0, 0, -1]))
+    middle = up / max(float(np.linalg.norm(up)), 1e-9) + back / max(
+        float(np.linalg.norm(back)), 1e-9
+    )
+    return [middle / max(float(np.linalg.norm(middle)), 1e-9)]
+
+
+def standing_of(scene: Scene, objects: Sequence[ObjectCheck], up: Array) -> Standing:
+    """The planes of the labelled objects of a scene; `up` (3,) roughly."""
+    placed = {}
     for item in objects:
         pose = scene.T_world_obj(item.object)
         if pose is not None and item.is_labelled and mesh_problem(scene, item.model) is None:
-            feet[item.object] = Foot.of(PlacedObject(item.name, scene.mesh(item.model), pose), up)
+            placed[item.object] = PlacedObject(item.name, scene.mesh(item.model), pose)
+    frames = scene.registered_frames()
+    cameras = [T for f in frames if (T := scene.T_world_cam(f.id)) is not None]
+    return Standing(placed, cameras, up)
+
+
+def with_standing(
+    scene: Scene, objects: Sequence[ObjectCheck], planes: Standing
+) -> list[ObjectCheck]:
+    """The rows with `standing_mm`: the motion from the label to the plane of the other objects."""
     found = []
     for item in objects:
-        foot, pose = feet.get(item.object), scene.T_world_obj(item.object)
+        pose = scene.T_world_obj(item.object)
         value = None
-        if foot is not None and pose is not None:
-            others = [f for i, f in feet.items() if i != item.object]
+        if pose is not None and planes.has(item.object):
             symmetry = scene.objects.model(item.model).symmetry.symmetry()
             centre = object_centre(scene, item.object)
-            value = standing(foot, others, centre, symmetry_motions(symmetry, pose, centre), up)
+            value = planes.value(item.object, centre, symmetry_motions(symmetry, pose, centre))
         found.append(item if value is None else item.with_values([value]))
     return found
-
-
-def standing(
-    foot: Foot, others: Sequence[Foot], centre: Array, free: Array, up: Array
-) -> Value | None:
-    """The motion from a label to the plane of other objects; None where there is none.
-
-    Args:
-        foot: of the object.
-        others: of the others.
-        centre: (3,) of the object in the world.
-        free: (N, 6) motions that its symmetry leaves open.
-        up: (3,) unit vector that points up.
-    """
-    plane = _plane(others, up)
-    return None if plane is None else _motion(foot, plane, centre, free)
-
-
-def _plane(others: Sequence[Foot], up: Array) -> _Plane | None:
-    """The plane of the most objects."""
-    limits = StandingCheckSettings.current()
-    level = [f for f in others if f.tilt <= limits.level_rad]
-    if len(level) < limits.fewest:
-        return None
-    heights = np.array([float((f.contacts @ up).mean()) for f in level])
-    # The most objects on one level; a stack has others.
-    near = np.abs(heights[:, None] - heights[None]) <= limits.agree_m
-    best = near[int(near.sum(axis=1).argmax())]
-    if best.sum() < limits.fewest:
-        return None
-    chosen = [f for f, taken in zip(level, best, strict=True) if taken]
-    normal = np.mean([f.level for f in chosen], axis=0)
-    normal /= np.linalg.norm(normal)
-    heights = np.array([float((f.contacts @ normal).mean()) for f in chosen])
-    spread = max(limits.uneven_m, float(np.std(heights)))
-    count = len(chosen)
-    return _Plane(normal, float(np.median(heights)), float(spread / np.sqrt(count)), count)
 
 
 def _motion(foot: Foot, plane: _Plane, centre: Array, free: Array) -> Value | None:
