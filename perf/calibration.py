@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
@@ -138,18 +138,22 @@ def judged(item: ObjectCheck, trial: Trial, right: Scene, **about: object) -> Ro
     )
 
 
-def measure(world: World) -> list[Row]:
-    """All rows of one scene."""
+def measure(world: World, looks: Collection[str] = LOOKS) -> list[Row]:
+    """All rows of one scene, of objects with these surfaces."""
     scene, things = world.scene(), {t.name: t for t in world.things()}
-    study = Study(scene)
+    chosen = {o.id for o in scene.objects.objects if things[o.name].look in looks}
+    if not chosen:
+        return []
+    study = Study(scene, textured=chosen)
 
     def row(item: ObjectCheck, trial: Trial) -> Row:
         thing = things[item.name]
         return judged(item, trial, scene, seed=world.seed, look=thing.look, exact=thing.is_exact)
 
     first = study.report(FaultCase("right", "pass", scene, frames=()))
-    rows = [row(item, Trial("right", scene)) for item in first.objects]
-    for item in first.objects:
+    items = [item for item in first.objects if item.object in chosen]
+    rows = [row(item, Trial("right", scene)) for item in items]
+    for item in items:
         for trial in trials(scene, item.object, world.seed):
             case = FaultCase(trial.name, "fail", trial.scene, objects=(item.object,))
             (now,) = (o for o in study.report(case).objects if o.object == item.object)
@@ -216,10 +220,10 @@ def write_csv(path: Path, rows: Iterable[Row]) -> None:
             table.writerow({**asdict(row), "z": " ".join(f"{z:.3f}" for z in row.z)})
 
 
-def _measured(work: Path, world: World) -> list[Row]:
-    path = work / f"{world.seed:05d}.json"
+def _measured(work: Path, looks: Sequence[str], world: World) -> list[Row]:
+    path = work / f"{world.seed:05d}_{'_'.join(sorted(looks))}.json"
     if not path.is_file():
-        write_bytes_atomic(path, msgspec.json.encode(measure(world)))
+        write_bytes_atomic(path, msgspec.json.encode(measure(world, looks)))
         print(f"seed {world.seed}", flush=True)
     return msgspec.json.decode(path.read_bytes(), type=list[Row])
 
@@ -230,7 +234,12 @@ def main() -> int:
     parser.add_argument("--seeds", default="300:316", help="first:end")
     parser.add_argument("--kinds", choices=tuple(KINDS), default="judging")
     parser.add_argument("--frames", type=int, default=8)
-    parser.add_argument("--work", type=Path, help="folder that keeps finished scenes' rows")
+    parser.add_argument("--looks", choices=LOOKS, nargs="+", default=list(LOOKS))
+    parser.add_argument(
+        "--work",
+        type=Path,
+        help="folder that keeps finished scenes' rows; another check needs another one",
+    )
     parser.add_argument("--csv", type=Path, help="write all rows to this file")
     parser.add_argument("--workers", type=int, default=1, help="scenes measured at a time")
     args = parser.parse_args()
@@ -242,7 +251,7 @@ def main() -> int:
     ]
     options = JobOptions(engine="serial") if args.workers < 2 else JobOptions(workers=args.workers)
     done = run_jobs(
-        partial(_measured, work),
+        partial(_measured, work, args.looks),
         worlds,
         name="calibration",
         key=lambda world: str(world.seed),

@@ -13,13 +13,24 @@ import numpy as np
 
 from std_toolkit.arrays import Array
 from std_toolkit.checks.result import Value
+from std_toolkit.settings import Settings, limit
 
 _SAMPLES = 4000
 # Covariances are filed with six digits.
 ROUNDING = 1e-5
 SHIFT, TURN = slice(3), slice(3, 6)
-# Directions with a larger deviation, in mm or degrees, are not known.
-_OPEN = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgreementSettings(Settings):
+    """When two sources disagree."""
+
+    known: float = limit(
+        20.0, unit="mm, deg", source="support leaves 30 mm and 17 deg where it says nothing"
+    )
+    """directions with a larger joint deviation are not compared"""
+    chance: float = limit(0.0027, source="three deviations")
+    """sources disagree that differ as much by chance as rarely"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +118,18 @@ def shares_within(located: Located, mm: float, deg: float) -> Array:
 
 
 def disagree(a: Located, b: Located) -> bool:
-    """Whether two sources differ by more than three joint deviations."""
+    """Whether two sources differ by more than chance explains."""
     from scipy.stats import chi2  # slow to load
 
     values, axes = np.linalg.eigh(a.covariance + b.covariance)
     # What neither knows, or a symmetry leaves open, is left out.
-    known = (values > ROUNDING * values[-1]) & (values < _OPEN**2)
+    limits = AgreementSettings.current()
+    least = ROUNDING * float(values[-1])
+    known = (values > least) & (values < limits.known**2)
     if not known.any():
         return False
     apart = (axes.T @ (a.motion - b.motion))[known]
-    return bool((apart**2 / values[known]).sum() > chi2.isf(0.0027, int(known.sum())))
+    return bool((apart**2 / values[known]).sum() > chi2.isf(limits.chance, int(known.sum())))
 
 
 def located_by(value: Value | None) -> Located | None:
