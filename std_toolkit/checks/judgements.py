@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.checks.result import CheckReport, ObjectCheck, Value
-from std_toolkit.scene.judgement import Evidence, Judgement
+from std_toolkit.scene.judgement import Evidence, Judgement, Source
 from std_toolkit.scene.label_verdicts import judgement_inputs
 from std_toolkit.scene.model import Label, Labels
 from std_toolkit.scene.scene import Scene
@@ -130,12 +130,17 @@ def _weakest(covariance: NDArray[np.float64] | None, part: slice) -> float | Non
 
 def _evidence(item: ObjectCheck) -> list[Evidence]:
     found = []
-    for key, text in (("motion_mm", item.text("support")), ("texture_mm", "")):
+    sources: dict[str, tuple[Source, str]] = {
+        "motion_mm": ("contour", item.text("support")),
+        "texture_mm": ("texture", ""),
+        "standing_mm": ("support", item.text("standing_mm")),
+    }
+    for key, (source, text) in sources.items():
         motion = item.entry(key)
         if motion is not None and motion.motion is not None:
             found.append(
                 Evidence(
-                    source="contour" if key == "motion_mm" else "texture",
+                    source=source,
                     motion_mm=motion.motion[:3],
                     turn_deg=motion.motion[3:],
                     covariance=motion.covariance,

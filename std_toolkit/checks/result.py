@@ -18,7 +18,7 @@ Verdict = Grade
 
 Number = float | None
 
-Source = Literal["contour", "depth", "texture", "label", "views", "judge"]
+Source = Literal["contour", "depth", "texture", "support", "label", "views", "judge"]
 
 
 class CheckGate(Document, frozen=True, kw_only=True):
@@ -191,8 +191,10 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             "aside" (edges nearby fit another pose better), "faint" or "absent".
             texture_mm: translation and rotation from the label to where the texture agrees with the
             images.
-            pose_mm, pose_deg: the same by all evidence; the text is the cause: "label", "shape",
-            "texture", "blind" or "".
+            standing_mm: height of the label above the plane on which other objects stand; `motion`
+            puts it there.
+            pose_mm, pose_deg: motion by all evidence; the text is the cause: "label", "shape",
+            "texture", "blind", "misled" or "".
             within: probability that the label lies within the limits; its text is the reason of the
             verdict on the pose.
             size_m: diagonal of the bounding box of the mesh.

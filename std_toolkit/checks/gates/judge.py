@@ -19,6 +19,7 @@ from std_toolkit.checks.measure.frame_evidence import frame_evidence
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.placements import with_placements
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
+from std_toolkit.checks.measure.standing import standing_of, with_standing
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
@@ -99,8 +100,10 @@ def judge_scene(
     rows = aggregate.check_frames(scene, observed, problems)
     materials = aggregate.check_materials(scene, observed)
     objects = textures.with_textures(objects, compared or {})
-    objects = with_motions(scene, objects, observed, options)
+    planes = standing_of(scene, objects, up)
+    objects = with_motions(scene, objects, observed, options, up=planes.up)
     objects = with_placements(scene, objects)
+    objects = with_standing(scene, objects, planes)
     summary = _summary(scene, objects, rows, observed, bias)
     summary = msgspec.structs.replace(summary, sizes=sizes)
     report = judge_rows(

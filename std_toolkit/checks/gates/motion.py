@@ -71,7 +71,7 @@ def _motion(part: Literal["mm", "deg"]) -> Callable[[ObjectCheck, Measured], Rea
         return Reading(
             value,
             found.located.along(where),
-            excuse=found.reason if found.cause in ("shape", "texture", "blind") else "",
+            excuse=found.reason if found.cause in ("shape", "texture", "blind", "misled") else "",
             verdict=verdict,
         )
 

@@ -13,7 +13,7 @@ the centre in radians, both along the axes of the world.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,8 @@ _EDGES_PER_POINT = 4
 _UNKNOWNS = 7
 # Errors of neighbouring contour points are correlated: one independent sample per 60 px.
 INDEPENDENT_PX = 60.0
+# (P,) px by which edges lie beside the contour, and their weights, from the jacobian.
+Beside = Callable[[NDArray[np.floating]], tuple[Array, Array]]
 # Meshes and shades move edges by less than this width of their likelihood.
 _WIDTH_PX = 1.0
 _CHANCE_SHIFTS_PX = np.array([-10, -8, -6, -4.5, 4.5, 6, 8, 10])
@@ -90,17 +92,23 @@ class MotionEquations:
         rows = [self.offsets, self.strengths, self.clutter[:, None], self.jacobian]
         return FiledEquations(file.put(np.concatenate(rows, axis=1)), self.length_px)
 
-    def support(self, motion: Array) -> tuple[float, float]:
+    def support(self, motion: Array, beside: Beside | None = None) -> tuple[float, float]:
         """Share of the points on an edge after a motion, and that of displaced contours.
 
         Args:
             motion: (6,), or (7,) with the relative size.
+            beside: edges that do not lie on the contour, and how much they count.
         """
         limits = MotionSettings.current()
-        offsets = self.offsets - (self.jacobian[:, : len(motion)] @ motion)[:, None]
-        on_edge = float((np.abs(offsets).min(axis=1) < limits.on_edge_px).mean())
+        along = self.jacobian[:, : len(motion)] @ motion
+        part = np.full(len(along), 1 / len(along))
+        if beside is not None:
+            shift, weight = beside(self.jacobian)
+            along, part = along + shift, weight / weight.sum()
+        offsets = self.offsets - along[:, None]
+        on_edge = float(part @ (np.abs(offsets).min(axis=1) < limits.on_edge_px))
         moved = np.abs(offsets[None] - _CHANCE_SHIFTS_PX[:, None, None]).min(axis=2)
-        return on_edge, float((moved < limits.on_edge_px).mean())
+        return on_edge, float((moved < limits.on_edge_px).mean(axis=0) @ part)
 
     def likelihood(self, motion: Array) -> float:
         """Mean log likelihood of the points against clutter alone, after a motion (6,) or (7,)."""
@@ -162,12 +170,16 @@ class Support:
     frames: float
 
 
-def pooled_support(equations: Sequence[MotionEquations | FiledEquations], motion: Array) -> Support:
-    """Support over frames after a motion (6,) or (7,); at least one entry."""
+def pooled_support(
+    equations: Sequence[MotionEquations | FiledEquations],
+    motion: Array,
+    beside: Beside | None = None,
+) -> Support:
+    """Support over frames after a motion, see `MotionEquations.support`; at least one entry."""
     independent, found, beaten = [], [], []
     for entry in equations:
         frame = entry.load()
-        support = frame.support(motion)
+        support = frame.support(motion, beside)
         independent.append(frame.independent)
         found.append(support)
         beaten.append(frame.beats_chance(*support))

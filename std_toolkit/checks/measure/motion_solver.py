@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.motion import INDEPENDENT_PX, FiledEquations, MotionEquations
+from std_toolkit.checks.measure.shared_errors import SharedErrors
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.labels.refine.edges.uncertainty import disagreement
@@ -60,6 +61,7 @@ class Motion:
         size_std: its standard deviation.
         residual_px: robust standard deviation of the edges around the moved contour.
         gain: log likelihood of the independent samples gained by the motion.
+        errors: (M,) px of the shared errors that were solved for.
     """
 
     vector: Array
@@ -68,6 +70,7 @@ class Motion:
     size_std: float | None
     residual_px: float
     gain: float
+    errors: Array
 
     @property
     def translation_mm(self) -> tuple[float, float]:
@@ -104,7 +107,8 @@ def solve_motion(
     free: Array | None = None,
     *,
     with_size: bool = False,
-    systematic_px: float = 0.0,
+    shared: SharedErrors | None = None,
+    cameras: Sequence[Array] = (),
 ) -> Motion | None:
     """The motion common to all frames.
 
@@ -112,34 +116,43 @@ def solve_motion(
         equations: one entry per frame.
         free: (N, 6) motions that are left out, from `symmetry_motions`.
         with_size: solve for the size of the object, too.
-        systematic_px: standard deviation of an error that edges of all frames share; it is part of
-            the covariance.
+        shared: errors that edges of all frames share; they are part of the covariance.
+        cameras: (6, 6) covariance by frame of the motion that the error of its camera looks like,
+            see `shared_errors.seen_error`; none: camera poses have no error.
 
     Returns:
         None without equations.
     """
     if not equations:
         return None
+    shared = shared or SharedErrors()
     dof = 7 if with_size else 6
-    prior = np.diag(1 / np.concatenate([_PRIOR, [_PRIOR_SIZE]])[:dof] ** 2)
+    deviations = [*_PRIOR, *([_PRIOR_SIZE] if with_size else []), *shared.deviations]
+    prior = np.diag(1 / np.array(deviations) ** 2)
     for motion in np.zeros((0, 6)) if free is None else free:
-        row = np.zeros(dof)
+        row = np.zeros(len(prior))
         row[:6] = motion
         prior += np.outer(row, row) / _FIXED**2
-    with _Rows(equations, dof) as rows:
+    with _Rows(equations, dof, shared) as rows:
         found = _climbs(rows, prior)
-        at_label, *scores = _scores(rows, prior, [np.zeros(dof), *found])
+        at_label, *scores = _scores(rows, prior, [np.zeros(len(prior)), *found])
         best = int(np.argmax(scores))
         xi = found[best]
         std = _deviation(rows, xi)
         information, squares = _information(rows, xi, std)
-    covariance = np.linalg.inv(information + prior).astype(np.float64)
+    inverse = np.linalg.inv(information + prior).astype(np.float64)
+    covariance = inverse
     if len(equations) > 1:
-        covariance *= disagreement(_by_frame(equations, xi, std))
+        frames = _by_frame(equations, dof, shared, xi, std)
+        moved = [A @ C @ A for (A, _), C in zip(frames, cameras, strict=False)]
+        moved += [np.zeros((6, 6))] * (len(frames) - len(moved))
+        expected = [(A + C, g) for (A, g), C in zip(frames, moved, strict=True)]
+        covariance = inverse * disagreement(expected, least=shared.least_disagreement)
+        covariance = covariance + inverse[:, :6] @ sum(moved) @ inverse[:6]
     # px per metre and per radian.
-    shared = np.diag(np.repeat([systematic_px**2 / max(s, 1e-9) for s in squares], 3))
+    alike = np.diag(np.repeat([shared.systematic**2 / max(s, 1e-9) for s in squares], 3))
     kept = _without(free)
-    covariance[:6, :6] += kept @ shared @ kept.T
+    covariance[:6, :6] += kept @ alike @ kept.T
     return Motion(
         xi[:6],
         covariance[:6, :6],
@@ -147,6 +160,7 @@ def solve_motion(
         float(np.sqrt(covariance[6, 6])) if with_size else None,
         std,
         scores[best] - at_label,
+        xi[dof:],
     )
 
 
@@ -161,9 +175,11 @@ class _Block:
     jacobian: Array
 
     @staticmethod
-    def of(equations: Sequence[MotionEquations | FiledEquations], dof: int) -> _Block:
+    def of(
+        equations: Sequence[MotionEquations | FiledEquations], dof: int, shared: SharedErrors
+    ) -> _Block:
         loaded = [e.load() for e in equations]
-        jacobian = np.concatenate([e.jacobian[:, :dof] for e in loaded])
+        jacobian = np.concatenate([e.jacobian[:, :dof] for e in loaded]).astype(np.float64)
         offsets = np.concatenate([e.offsets for e in loaded]).astype(np.float64)
         strengths = np.concatenate([e.strengths for e in loaded]).astype(np.float64)
         clutter = np.concatenate([e.clutter for e in loaded]).astype(np.float64)
@@ -171,13 +187,14 @@ class _Block:
         share = np.concatenate(
             [np.full(len(e.offsets), e.length_px / INDEPENDENT_PX / len(e.offsets)) for e in loaded]
         )
+        share *= shared.weights(jacobian)
         known = np.isfinite(offsets)
         return _Block(
             np.where(known, offsets, 0.0),
             np.where(known, strengths, 0.0),
             clutter,
             share,
-            jacobian.astype(np.float64),
+            np.concatenate([jacobian, shared.columns(jacobian)], axis=1),
         )
 
     @property
@@ -196,17 +213,25 @@ class _Block:
 class _Rows:
     """The equations of all frames; those of a long recording are in blocks in a file."""
 
-    def __init__(self, equations: Sequence[MotionEquations | FiledEquations], dof: int) -> None:
+    def __init__(
+        self,
+        equations: Sequence[MotionEquations | FiledEquations],
+        dof: int,
+        shared: SharedErrors,
+    ) -> None:
         self.one: _Block | None = None
         self._file: ArrayFile | None = None
         first = equations[0]
         if len(equations) <= _BLOCK_FRAMES or isinstance(first, MotionEquations):
-            self.one = _Block.of(equations, dof)
+            self.one = _Block.of(equations, dof, shared)
             return
         # Searches read the rows twenty times: a block is one piece of the file.
         self._file = ArrayFile(first.rows.file.folder)
         self._blocks = [
-            [self._file.put(a) for a in _Block.of(equations[k : k + _BLOCK_FRAMES], dof).arrays]
+            [
+                self._file.put(a)
+                for a in _Block.of(equations[k : k + _BLOCK_FRAMES], dof, shared).arrays
+            ]
             for k in range(0, len(equations), _BLOCK_FRAMES)
         ]
 
@@ -287,12 +312,16 @@ def _information(rows: _Rows, motion: Array, std: float) -> tuple[Array, tuple[f
 
 
 def _by_frame(
-    equations: Sequence[MotionEquations | FiledEquations], motion: Array, std: float
+    equations: Sequence[MotionEquations | FiledEquations],
+    dof: int,
+    shared: SharedErrors,
+    motion: Array,
+    std: float,
 ) -> list[tuple[Array, Array]]:
     """Information (6, 6) and gradient (6,) of each frame: errors of its camera shift all edges."""
     found = []
     for entry in equations:
-        block = _Block.of([entry], len(motion))
+        block = _Block.of([entry], dof, shared)
         e = block.offsets - (block.jacobian @ motion)[:, None]
         weight = block.share[:, None] * block.responsibility(motion)[0] / std**2
         J = block.jacobian[:, :6]

@@ -11,13 +11,14 @@ from std_toolkit.checks import result
 from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.geometry import SE3
-from std_toolkit.labels.refine.problem import RefineObject
 from std_toolkit.labels.refine_step import scene_object, texture_surface
-from std_toolkit.labels.texture.comparison import TextureComparison
+from std_toolkit.labels.texture.comparison import (
+    TextureComparison,
+    Windows,
+    compare_texture,
+)
 from std_toolkit.labels.texture.motion import TextureMotion, texture_motion
-from std_toolkit.labels.texture.scores import cut_window
-from std_toolkit.labels.texture.views import Views
-from std_toolkit.labels.texture_step import compare_objects, scene_views
+from std_toolkit.labels.texture_step import scene_views
 from std_toolkit.scene import Frame, Scene
 
 # Millimetres and degrees of metres and radians.
@@ -70,28 +71,27 @@ def compare_textures(
             mesh = scene.mesh(scene.objects.object(i).model)
             # Textures are large, so that they are kept for one object at a time.
             textured = replace(obj, texture=texture_surface(scene, i, mesh))
-            (comparison,) = compare_objects(views, {**objects, i: textured}, [i]).values()
             others = [o for j, o in objects.items() if j != i]
-            found[i] = TextureFinding(comparison, _motion_of(views, textured, others, comparison))
+            # The comparison and the motion look at about the same views.
+            surface = textured.texture
+            windows = None if surface is None else Windows(views, textured, surface, others)
+            comparison = compare_texture(views, textured, others, windows=windows)
+            found[i] = TextureFinding(comparison, _motion_of(windows, comparison))
     return found
 
 
-def _motion_of(
-    views: Views, obj: RefineObject, others: Sequence[RefineObject], found: TextureComparison
-) -> TextureMotion | None:
+def _motion_of(windows: Windows | None, found: TextureComparison) -> TextureMotion | None:
     """The motion from the label to the texture in the views that show it largest."""
     # A texture that fits better after a turn, or that is not there, says nothing of a motion.
-    if obj.texture is None or found.verdict in ("turned", "ambiguous", "other"):
+    if windows is None or found.verdict in ("turned", "ambiguous", "other"):
         return None
+    views, obj = windows.views, windows.obj
     centre = obj.T_world_obj @ obj.centre
-    windows = []
-    for k in views.large(centre, obj.radius, count=_MOTION_VIEWS):
-        view = views.read(k)
-        window = view and cut_window(view, obj.texture, obj.T_world_obj, others)
-        if window:
-            windows.append((views.frames[k], window))
+    chosen = views.large(centre, obj.radius, count=_MOTION_VIEWS)
+    windows.add(chosen)
+    parts = [(views.frames[k], windows.cut[k]) for k in chosen if k in windows.cut]
     free = symmetry_motions(obj.symmetry, obj.T_world_obj, centre)
-    return texture_motion(windows, obj.texture, obj, free=free)
+    return texture_motion(parts, windows.surface, obj, free=free)
 
 
 def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> result.ObjectCheck:

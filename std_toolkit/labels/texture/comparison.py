@@ -159,6 +159,7 @@ def compare_texture(
     *,
     surface: TexturedSurface | None = None,
     near: NearSymmetry | None = None,
+    windows: Windows | None = None,
 ) -> TextureComparison:
     """Compare the texture of an object at its pose and at near-symmetric alternatives.
 
@@ -169,6 +170,7 @@ def compare_texture(
         others: the other objects, which may hide it.
         surface: the mesh with its colours at full resolution; default: `obj.texture`.
         near: alternatives of its mesh, if known.
+        windows: of these views and this object; those that are cut here are in it afterwards.
 
     Returns:
         The comparison; "undecided" if no view shows enough of the object, or if it has no
@@ -180,7 +182,7 @@ def compare_texture(
     chosen = views.large(obj.T_world_obj @ obj.centre, obj.radius)
     in_view = [views.poses[k].inverse() @ obj.T_world_obj for k in chosen]
     if surface is not None:
-        found = _Windows(views, obj, surface, others)
+        found = windows or Windows(views, obj, surface, others)
         found.add(chosen)
         if not found.cut:
             return TextureComparison("undecided", None, "", NAN, NAN, 0)
@@ -197,8 +199,14 @@ def compare_texture(
     return TextureComparison(verdict, turn, text, NAN, NAN, 0, textured=False)
 
 
-class _Windows:
+class Windows:
     """The parts of views that show an object, cut when they are asked for.
+
+    Args:
+        views: the views.
+        obj: the object at its pose.
+        surface: the mesh with its colours.
+        others: objects that may hide it.
 
     Attributes:
         cut: windows by index of the view.
@@ -243,7 +251,7 @@ class _Windows:
         return {k: score_view(self.cut[k], self.surface, pose) for k in self.own()}
 
 
-def _judge(found: _Windows, turns: Sequence[Alternative]) -> TextureComparison | None:
+def _judge(found: Windows, turns: Sequence[Alternative]) -> TextureComparison | None:
     """The comparison in these windows; None if the surface shows no texture in them."""
     mine = found.own()
     if not mine:
@@ -340,7 +348,7 @@ def _duel(
 
 
 def _first_look(
-    windows: Sequence[TextureWindow], found: _Windows, turns: Sequence[Alternative]
+    windows: Sequence[TextureWindow], found: Windows, turns: Sequence[Alternative]
 ) -> list[Alternative]:
     """The most promising of many alternatives, from small pictures of a few frames."""
     picks = np.unique(np.linspace(0, len(windows) - 1, _FIRST_FRAMES).round().astype(int))

@@ -6,7 +6,7 @@ passed check with a warning that names the object ("warn"), or a passed check ("
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -84,15 +84,27 @@ class BadFrames(FaultyScene):
 
 
 class Study:
-    """A scene with right labels, measured once, and the outcome of faults in it."""
+    """A scene with right labels, measured once, and the outcome of faults in it.
 
-    def __init__(self, scene: Scene, options: CheckOptions | None = None) -> None:
+    Args:
+        scene: the scene.
+        options: limits.
+        textured: ids of the objects whose textures are compared; None compares all.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        options: CheckOptions | None = None,
+        *,
+        textured: Collection[int] | None = None,
+    ) -> None:
         self.scene = scene
         self.options = options or CheckOptions()
         self.frames = scene.registered_frames()
         caster = LabelCaster.of_scene(scene)
         self.base = [measure_frame(scene, caster, f, self.options) for f in self.frames]
-        self.textures = compare_textures(scene, self.frames)
+        self.textures = compare_textures(scene, self.frames, only=textured)
 
     def plain(self) -> CheckReport:
         """The report without a fault."""

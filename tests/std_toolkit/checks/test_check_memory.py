@@ -20,6 +20,7 @@ from std_toolkit.checks.measure.coverage import measure_coverage
 from std_toolkit.checks.measure.motion import MotionEquations, pooled_support
 from std_toolkit.checks.measure.motion_solver import solve_motion
 from std_toolkit.checks.measure.sensor_depth import ErrorTally
+from std_toolkit.checks.measure.shared_errors import SharedErrors
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions
 from std_toolkit.scene import Scene
@@ -79,7 +80,8 @@ def test_equations_read_in_blocks_have_the_same_solution(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     equations = frames_of_edges(7)
-    whole = solve_motion(equations, with_size=True, systematic_px=0.1)
+    shared = SharedErrors(systematic=0.1, rim=0.3, foot=0.5, foot_part=0.5)
+    whole = solve_motion(equations, with_size=True, shared=shared)
     assert whole is not None and whole.size == pytest.approx(0.01, abs=2e-3)
     support = pooled_support(equations, whole.vector)
     assert support.share > support.chance + 0.3
@@ -87,7 +89,7 @@ def test_equations_read_in_blocks_have_the_same_solution(
     with ArrayFile(tmp_path) as file:
         filed = [e.filed(file) for e in equations]
         assert pooled_support(filed, whole.vector) == support
-        parts = solve_motion(filed, with_size=True, systematic_px=0.1)
+        parts = solve_motion(filed, with_size=True, shared=shared)
     assert parts is not None
     assert parts.vector == pytest.approx(whole.vector, rel=1e-9)
     assert parts.covariance == pytest.approx(whole.covariance, rel=1e-9)

@@ -22,6 +22,7 @@ def seen(
     mm: float = 0.5,
     deg: float = 0.3,
     size_m: float = 0.25,
+    material: str = "diffuse",
 ) -> Weighed:
     """The verdict on an object that contour and texture see at these motions, mm and degrees."""
     values = [Value(key="size_m", value=size_m, source="label")]
@@ -41,7 +42,7 @@ def seen(
             name="box",
             model="box",
             category="box",
-            material="diffuse",
+            material=material,  # type: ignore[arg-type]
             label="refined",
             values=values,
         ),
@@ -93,6 +94,18 @@ def test_evidence_that_could_not_see_a_fault_leaves_it_unknown() -> None:
     found = seen(aside(0), mm=3.0)
     assert (found.verdict, found.cause) == ("unknown", "blind")
     assert seen(aside(0), deg=2.0).verdict == "unknown"
+
+
+@pytest.mark.parametrize("material", ["specular", "transparent"])
+def test_a_contour_that_reflections_may_mislead_refuses_no_likely_label(material: str) -> None:
+    off = aside(1, 2.4)
+    found = seen(off, mm=0.9, deg=1.1, material=material)
+    assert (found.verdict, found.cause) == ("unknown", "misled")
+    assert "reflections may mislead it" in found.reason
+    assert seen(off, mm=0.9, deg=1.1).verdict == "doubtful"
+    assert seen(aside(12), mm=0.9, deg=1.1, material=material).verdict == "wrong"
+    # A texture is not misled.
+    assert seen(None, off, mm=0.9, deg=1.1, material=material).verdict == "doubtful"
 
 
 def test_blind_evidence_can_still_refuse() -> None:

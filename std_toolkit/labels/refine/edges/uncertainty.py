@@ -117,14 +117,15 @@ def pose_covariances(
     return found
 
 
-def disagreement(views: Sequence[tuple[Array, Array]]) -> float:
-    """Factor on a covariance, at least 1, by which views disagree more than their noise explains.
+def disagreement(views: Sequence[tuple[Array, Array]], *, least: float = 1.0) -> float:
+    """Factor on a covariance by which views disagree more than their noise explains.
 
     The reduced chi-square of the views' gradients at the solution (Birge ratio, squared), drawn
     towards 1 when few views determine it.
 
     Args:
         views: (6, 6) expected covariance of the gradient and (6,) gradient of each view.
+        least: smallest factor.
     """
     total, directions = 0.0, 0
     for expected, gradient in views:
@@ -136,7 +137,7 @@ def disagreement(views: Sequence[tuple[Array, Array]]) -> float:
     free = directions - 6
     if free <= 0:
         return 1.0
-    return max(1.0, (total + _PRIOR_DIRECTIONS) / (free + _PRIOR_DIRECTIONS))
+    return max(least, (total + _PRIOR_DIRECTIONS) / (free + _PRIOR_DIRECTIONS))
 
 
 @dataclass(frozen=True, eq=False)
