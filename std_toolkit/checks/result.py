@@ -61,12 +61,15 @@ class GateFinding(Document, frozen=True, kw_only=True):
         verdict: "unknown" if what was not measured leaves it open.
         exempt: why the object cannot fail the gate of the scene, or counts less than what was
             measured, or "".
+        detail: what was found in words, such as "turned by 180 deg about z fits the texture
+            better", or "".
     """
 
     gate: str
     value: Number = None
     verdict: Verdict
     exempt: str = ""
+    detail: str = ""
 
 
 class CheckWarning(Document, frozen=True, kw_only=True):
