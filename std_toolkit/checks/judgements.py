@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks.measure.textures import TextureFinding
 from std_toolkit.checks.result import CheckReport, GateFinding, ObjectCheck, Value
+from std_toolkit.checks.shapes import size_sentence
 from std_toolkit.scene.judgement import Evidence, Judgement
 from std_toolkit.scene.label_verdicts import judgement_inputs
 from std_toolkit.scene.model import Label, Labels, pose_from_list
@@ -88,8 +89,10 @@ def judgement_of(
 
 def reason_of(item: ObjectCheck, report: CheckReport) -> str:
     """The verdict of an object in one sentence: the findings that gave it."""
+    size = size_sentence(item)
     if item.verdict == "fits":
-        return item.text("within") or "the images agree with the label"
+        fits = item.text("within") or "the images agree with the label"
+        return f"{fits}; {size}" if size else fits
     parts: list[str] = []
     unmeasured: list[str] = []
     for finding in item.gates:
@@ -101,7 +104,9 @@ def reason_of(item: ObjectCheck, report: CheckReport) -> str:
             parts = [item.text("within"), *[p for p in parts if p != item.text("within")]]
         else:
             said, known = _gate_in_words(finding, report)
-            (parts if known else unmeasured).append(said)
+            if not (finding.gate == "size" and size):
+                (parts if known else unmeasured).append(said)
+    parts += [size] if size else []
     return "; ".join(parts or unmeasured) or "nothing was measured"
 
 
