@@ -182,7 +182,7 @@ def _values(found: ShapeFinding) -> list[Value]:
 
 
 def _warning(item: ObjectCheck, found: ShapeFinding) -> CheckWarning:
-    said = [s for s in (size_sentence(item), found.map.sentence() if found.map else "") if s]
+    said = [_differences(item, found)]
     if found.fault_mm is not None and found.fault_deg is not None:
         said.append(
             f"a label less than {found.fault_mm:.1f} mm or {found.fault_deg:.1f} deg off would not "
@@ -194,6 +194,16 @@ def _warning(item: ObjectCheck, found: ShapeFinding) -> CheckWarning:
     return CheckWarning(
         severity="medium",
         about=item.name,
-        problem="; ".join(said) or "its mesh has another shape",
+        problem="; ".join(said),
         advice=advice,
     )
+
+
+def _differences(item: ObjectCheck, found: ShapeFinding) -> str:
+    """Size and shape in one sentence."""
+    size = size_sentence(item)
+    if found.map is None:
+        return size or "it has another shape than its mesh"
+    if size and (found.size > 0) == (found.map.largest_mm > 0):
+        return f"{size}, by up to {abs(found.map.largest_mm):.1f} mm {found.map.where}"
+    return f"{size}; {found.map.sentence()}" if size else found.map.sentence()

@@ -23,15 +23,17 @@ from std_toolkit.checks.measure.edges import edge_peaks, noise_level, read_profi
 from std_toolkit.checks.measure.residuals import render_view
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
-from std_toolkit.geometry.mesh import mesh_bounds
+from std_toolkit.geometry.mesh import decimate_mesh, mesh_bounds
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.memory_scene import MemoryScene
 from std_toolkit.scene.model import pose_from_list
 from std_toolkit.settings import Settings, limit
 
-# Places of the surface, and the step of the distances that are compared, in mm.
-_PLACES, _STEP_MM = 1500, 0.1
+# Size of the triangles between places, in parts of the object's size; faces of a scanned mesh.
+_EDGE, _MOST_FACES = 0.07, 3000
+# Step of the distances that are compared, in mm, and edges of a contour point.
+_STEP_MM, _EDGES = 0.1, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +64,7 @@ class ShapeMap:
 
     Attributes:
         points: (N, 3) places on the surface of the mesh, mesh frame, metres.
+        faces: (F, 3) triangles between them.
         mm: (N,) distance of the object's surface from that of the mesh, positive outside; NaN where
             no contour was seen.
         largest_mm: difference of the place that 90 % of the places do not exceed.
@@ -70,6 +73,7 @@ class ShapeMap:
     """
 
     points: Array
+    faces: Array
     mm: Array
     largest_mm: float
     where: str
@@ -117,7 +121,7 @@ def map_shape(
     if not seen:
         return None
     at, mm, strength = (np.concatenate([f[k] for f in seen]) for k in range(3))
-    points = _places(mesh)
+    points, faces = _places(mesh, size_mm / 1000)
     distance = _agreed(points, at, mm, strength, size_mm)
     known = np.isfinite(distance)
     if not known.any():
@@ -126,7 +130,7 @@ def map_shape(
     far = known & (np.abs(distance) >= quantile)
     sign = 1.0 if np.median(distance[far]) > 0 else -1.0
     where = _where(points[far & (np.sign(distance) == sign)], low, high)
-    return ShapeMap(points, distance, sign * float(quantile), where, len(seen))
+    return ShapeMap(points, faces, distance, sign * float(quantile), where, len(seen))
 
 
 def _at(scene: Scene, object_id: int, motion: Array) -> MemoryScene:
@@ -170,12 +174,15 @@ def _contour_edges(
     return T_obj_world @ at, mm, np.take_along_axis(strength, best, axis=1)
 
 
-_EDGES = 4
-
-
-def _places(mesh: trimesh.Trimesh) -> Array:
-    points, _ = trimesh.sample.sample_surface_even(mesh, _PLACES, seed=0)
-    return np.asarray(points, dtype=np.float64)
+def _places(mesh: trimesh.Trimesh, size_m: float) -> tuple[Array, Array]:
+    """Vertices and faces of the mesh with triangles of about one size."""
+    even = decimate_mesh(mesh, _MOST_FACES) if len(mesh.faces) > _MOST_FACES else mesh
+    vertices, faces = trimesh.remesh.subdivide_to_size(
+        np.asarray(even.vertices), np.asarray(even.faces), max_edge=_EDGE * size_m
+    )
+    # Corners of faces with textures of their own are at one place.
+    at, place = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
+    return at, np.reshape(place, -1)[faces]
 
 
 def _agreed(points: Array, at: Array, mm: Array, strength: Array, size_mm: float) -> Array:

@@ -159,7 +159,9 @@ def test_a_mesh_of_the_wrong_scale_is_told_with_its_size(
     assert row.value("shape_mm") == pytest.approx(found.map.largest_mm, abs=0.01)
     warning = next(w for w in told.warnings if "than its mesh" in w.problem)
     word = "larger" if percent < 0 else "smaller"
-    assert warning.about == "cereal_box" and f"{word} than its mesh" in warning.problem
+    assert warning.about == "cereal_box"
+    assert warning.problem.startswith(f"{size_sentence(item)}, by up to ")
+    assert f" {word} than its mesh" in warning.problem
     assert f"scale its mesh by {1 + size:.3f}" in warning.advice
     assert "std-scan" in warning.advice
 
