@@ -117,7 +117,8 @@ def measured_verdict(
     if grade != "fits":
         off = [str(r.frame) for r in rows if not r.problem and grade_row(r) == "wrong"]
         said += [f"Its contour is off in frame {', '.join(off)}: look there."] if off else []
-    if rank is not None:
+    # That a wrong pose beats its neighbours helps nobody.
+    if rank is not None and (grade in ("fits", "unknown") or not rank.good):
         said.append(_sentence(rank.sentence()))
     return Verdict(grade, " ".join(said))
 

@@ -11,6 +11,7 @@ from scene_on_disk import write_scene
 
 from annotator.app import pose_checks
 from annotator.app.action_table import BY_ID
+from annotator.app.object_summary import summarize
 from annotator.app.verdicts import Verdict, measured_verdict, object_verdict
 from annotator.session.residuals import FrameResidual
 from annotator.session.state import Judged
@@ -67,6 +68,16 @@ def test_the_verdict_is_that_of_the_judge() -> None:
         found = judged(compared("fits", 0.6, 0.1), judgement(grade))
         assert found.grade == grade
         assert "its contour confirms it" in found.text
+        # That a wrong pose beats its neighbours helps nobody.
+        assert ("nearby poses" in found.text) == (grade in ("fits", "unknown"))
+
+
+def test_the_list_shows_the_verdict_before_anything_else_is_measured(desk: Desk) -> None:
+    c = desk.controller
+    for grade in GRADES:
+        c.findings.keep_judgements({"box_1": Judged(judgement(grade))})
+        row = summarize(c)[0]
+        assert (row.badge, row.grade) == (grade, grade)
 
 
 def test_an_undecided_texture_names_the_rival_that_leads() -> None:

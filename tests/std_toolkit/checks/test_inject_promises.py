@@ -151,6 +151,7 @@ def test_the_judge_keeps_a_promise(synthetic_table: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 def test_promises_on_all_materials_are_kept(synthetic_table: Path, tmp_path: Path) -> None:
     """Faults of 1.2 times the promise are caught in 95 % of the tries, half of it in few."""
     names = ["cereal_box", "mug", "glass", "steel_bowl"]
