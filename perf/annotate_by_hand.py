@@ -142,15 +142,15 @@ def label(task: Task, work: Path, seed: int) -> tuple[float, float, int, str]:
     _turn(hand, name, task.pose, rng.normal(0, TURN_DEG))
     wait(THINK_S + KEY_S)
     hand.press(Qt.Key.Key_R)
-    hand.wait(lambda: name in c.ranks, 120)
+    hand.wait(lambda: name in c.findings.judgements, 120)
     wait(2 * THINK_S)  # looks at the views and the verdict
     compared = c.textures.get(name)
     if compared is not None and compared.verdict == "turned":
         wait(KEY_S)
         hand.press(Qt.Key.Key_Y)
-        hand.wait(lambda: name in c.ranks, 120)
+        hand.wait(lambda: name in c.findings.judgements, 120)
         wait(THINK_S)
-    verdict = c.ranks[name].sentence()
+    verdict = c.findings.judgements[name].judgement.reason
     wait(KEY_S)
     if object_verdict(c, name).grade != "fits":
         verdict += f" ({object_verdict(c, name).text})"

@@ -307,7 +307,7 @@ class CheckOptions(CheckBasics):
     jpeg_quality: Annotated[int, msgspec.Meta(ge=1, le=100)] = 82
     """JPEG quality of the images in the report"""
     inject: bool = False
-    """report the smallest known faults, put into the scene in memory, that the gates catch"""
+    """report the smallest known faults, put into the scene in memory, that the check catches"""
     inject_objects: Whole = 6
     """--inject: number of evenly spaced objects that get faults; 0 = all"""
     inject_frames: Whole = 8

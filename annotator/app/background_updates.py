@@ -1,4 +1,4 @@
-"""Automatic background computations: table, penetrations, residuals, textures, image prefetch.
+"""Automatic background computations: table, penetrations, residuals, verdicts, image prefetch.
 
 They run in the second thread of the runner and never delay computations that the user started.
 """
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 PENETRATION_DELAY_S = 0.3
 RESIDUAL_DELAY_S = 0.8
 TABLE_DELAY_S = 1.0
-TEXTURE_DELAY_S = 1.5
+JUDGE_DELAY_S = 1.5
 _KEYS = (
     "Table",
     "Penetration",
     "Residuals",
     operations.OTHER_RESIDUALS,
     pose_checks.RANKS,
-    pose_checks.TEXTURES,
+    pose_checks.JUDGE,
 )
 # Number of images prefetched on each side of the one in the main view.
 FRAMES_AHEAD = 4
@@ -75,7 +75,7 @@ class BackgroundUpdates:
         """Request everything that the last edit may have changed."""
         self._find_penetrations()
         operations.measure_residuals(self._controller, delay=RESIDUAL_DELAY_S)
-        pose_checks.compare_textures_aside(self._controller, delay=TEXTURE_DELAY_S)
+        pose_checks.judge_aside(self._controller, delay=JUDGE_DELAY_S)
         table = self._controller.table
         if table is None or table.source == "objects":
             self._search_table(table_delay)
@@ -153,7 +153,8 @@ def _import_heavy(_: Task) -> None:
         "std_toolkit.checks.measure.ranking",
         "std_toolkit.labels.support.table",
         "std_toolkit.labels.auto_refine",
-        "annotator.session.textures",
+        "annotator.session.judging",
+        "std_toolkit.checks.label_check",
     ):
         import_module(name)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from annotator.app.image_cache import ImageCache
     from annotator.app.mesh_folder import MeshFolder, MeshToPlace
     from annotator.session.state import Status
+    from std_toolkit.checks.label_check import LabelCheck
     from std_toolkit.labels.support.penetration import Penetration
     from std_toolkit.labels.support.plane import TablePlane
 
@@ -135,6 +137,8 @@ class Controller:
             self.emit(events.Event("selected"))
         if self._drag is not None and self._drag[0] not in names:
             self._drag = None
+        if change.kind == "reread":
+            self.__dict__.pop("judge", None)  # meshes and images may be others
         self.findings.follow(reread=change.kind == "reread")
         self.emit(events.Event("edited", objects=change.objects, text=change.title))
 
@@ -360,6 +364,13 @@ class Controller:
             self.emit(events.Event("preview", objects=(name,)))
 
     # --- work that takes a while -----------------------------------------------------------------
+
+    @cached_property
+    def judge(self) -> LabelCheck:
+        """The judge with what it has measured; made in the thread that needs it first."""
+        from std_toolkit.checks.label_check import LabelCheck
+
+        return LabelCheck()
 
     @property
     def task(self) -> tasks.Task | None:

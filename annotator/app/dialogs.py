@@ -13,7 +13,7 @@ from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.mesh_folder import MeshFolder, remember_folder
 from annotator.app.mesh_import import MeshSize, NewMesh, measure_mesh
-from annotator.app.verdicts import doubtful_objects, object_verdict
+from annotator.app.verdicts import doubtful_objects
 from annotator.session import ChangeObject, SetSymmetry
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -205,11 +205,7 @@ class Dialogs:
 
     def _doubts(self) -> list[tuple[str, str]]:
         c = self._c
-        placed = [o.name for o in c.session.state.objects if o.placements]
-        judged = [
-            n for n in placed if (n in c.residuals and n in c.ranks) or object_verdict(c, n).turned
-        ]
-        return doubtful_objects(c, judged)
+        return doubtful_objects(c, [o.name for o in c.session.state.objects if o.placements])
 
     def _propagate(self) -> None:
         def react(_: str, answers: questions.Answers) -> None:

@@ -6,15 +6,18 @@ a turn that fits the texture better, is kept while the object stays near that po
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from annotator.session import Session
-from annotator.session.state import Placement
+from annotator.session.state import Judged, Placement
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, rotation_error
+from std_toolkit.scene.judgement import kept_judgement
 from std_toolkit.settings import Settings, limit
 
 if TYPE_CHECKING:
@@ -61,6 +64,9 @@ class Findings:
         weak_directions: sentence on the direction that the last refinement determined least.
         ranks: ranks among nearby poses.
         textures: texture comparisons at the present pose, or findings against it from nearby.
+        judgements: verdicts of the judge that hold for the present poses.
+        recalled: whether stored verdicts were looked for.
+        unjudgeable: names of objects that cannot be judged at their pose.
         unmeasured: names of objects whose residuals were removed by their last change.
     """
 
@@ -70,6 +76,9 @@ class Findings:
         self.weak_directions: dict[str, str] = {}
         self.ranks: dict[str, PoseRank] = {}
         self.textures: dict[str, TextureComparison] = {}
+        self.judgements: dict[str, Judged] = {}
+        self.recalled = False
+        self.unjudgeable: set[str] = set()
         self.unmeasured: set[str] = set()
         self._subjects = self._read()
         self._compared: dict[int, tuple[TextureComparison, _Subject]] = {}
@@ -81,11 +90,16 @@ class Findings:
             reread: whether the scene was read again, so that nothing is known any more.
         """
         before, self._subjects = self._subjects, self._read()
+        self.recalled &= not reread
+        self.unjudgeable.clear()
         findings = {i: self._finding(i, old) for i, old in before.items()}
+        judged = {i: self.judgements.pop(old.name, None) for i, old in before.items()}
         values = {i: [m.pop(old.name, None) for m in self._by_name] for i, old in before.items()}
         unmeasured = {i for i, old in before.items() if old.name in self.unmeasured}
         for i, new in self._subjects.items():
-            old = before.get(i)
+            old, verdict = before.get(i), judged.get(i)
+            if old is not None and verdict is not None and not reread and _keeps(verdict, old, new):
+                self.judgements[new.name] = verdict
             if old is not None and not reread and _same(old, new):
                 for known, value in zip(self._by_name, values[i], strict=True):
                     if value is not None:
@@ -98,6 +112,23 @@ class Findings:
                 self._compared[i] = found
         self.unmeasured.clear()
         self.unmeasured |= {s.name for i, s in self._subjects.items() if i in unmeasured}
+        self._pass_on()
+
+    def keep_judgements(self, found: Mapping[str, Judged]) -> None:
+        """Enter verdicts on the present poses."""
+        known = {s.name for s in self._subjects.values()}
+        self.judgements |= {name: judged for name, judged in found.items() if name in known}
+        self._pass_on()
+
+    def unjudged(self) -> list[str]:
+        """Names of the placed objects without a verdict on the present pose."""
+        placed = [s.name for s in self._subjects.values() if s.placements]
+        return [name for name in placed if name not in self.judgements]
+
+    def _pass_on(self) -> None:
+        """Verdicts are saved with the labels."""
+        by_name = {s.name: i for i, s in self._subjects.items()}
+        self._session.judged = {by_name[n]: j for n, j in self.judgements.items() if n in by_name}
 
     def keep_textures(self, found: dict[str, TextureComparison]) -> None:
         """Enter comparisons that were made of the present poses."""
@@ -158,6 +189,14 @@ class Findings:
             poses = {} if T is None else {None: T}
         model = session.state.model(obj.model)
         return _Subject(name, obj.placements, poses, obj.material, model)
+
+
+def _keeps(judged: Judged, old: _Subject, new: _Subject) -> bool:
+    """Whether a verdict holds after a change: moves within a tenth of its deviation add up."""
+    if not _same_thing(old, new):
+        return False
+    T = new.poses.get(judged.frame)
+    return not isinstance(kept_judgement(judged.judgement, T), msgspec.UnsetType)
 
 
 def _same(a: _Subject, b: _Subject) -> bool:

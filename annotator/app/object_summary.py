@@ -84,6 +84,8 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
         grade = "doubtful"
     elif verdict.grade == "fits":
         badge, grade = badge if grade != "unknown" else "fits", "fits"
+    if not badge and obj.name in c.findings.judgements:
+        badge = verdict.grade
     parts = [f"{obj.name}: {obj.material} {obj.model}, {state}."]
     if state == "placed":
         parts.append(
@@ -189,7 +191,7 @@ def next_hint(c: Controller) -> str:
     if texture is not None and texture.verdict == "undecided" and texture.rival_leads:
         decides = texture.decides()
         return f"Another turn of {obj.name} scores higher: {decides}; Y turns it, D keeps it."
-    if row.grade == "wrong" and _residual(c.residuals[obj.name])[1] != "wrong":
+    if row.grade == "wrong" and _residual(c.residuals.get(obj.name, ()))[1] != "wrong":
         return f"{obj.name} is not confirmed: check it in every view, or place it again."
     if row.grade == "wrong":
         return f"{obj.name} is {row.badge} off: bring it closer, then press R again."

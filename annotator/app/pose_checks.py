@@ -1,25 +1,30 @@
-"""Checks of poses that the window runs: ranks, textures, marking as done, taking a turn."""
+"""Checks of poses that the window runs: ranks, verdicts, marking as done, taking a turn."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
-from annotator.app.verdicts import measured_verdict, object_verdict
-from annotator.app.view_options import choose_view_frames
+from annotator.app.verdicts import can_turn, measured_verdict, object_verdict
 from annotator.session import Session, SetPoses
-from annotator.session.state import ObjectState, Snapshot
+from annotator.session.state import Judged, ObjectState, Snapshot
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
+    from std_toolkit.checks.label_check import LabelCheck
     from std_toolkit.checks.measure.ranking import PoseRank
     from std_toolkit.labels.texture.comparison import TextureComparison
+    from std_toolkit.scene import Labels
 
-RANKS, TEXTURES = "Ranks", "Textures"
+RANKS, JUDGE = "Ranks", "Verdicts"
+
+# Other updates of the background wait so long for a turn of the judge.
+TURN_S = 1.0
 
 # Dialog that asks before an object is marked as done whose verdict is not good.
 DOUBT = "done_anyway"
@@ -69,38 +74,116 @@ def rank_objects_aside(c: Controller, names: Sequence[str]) -> None:
         )
 
 
-def compare_textures_aside(
-    c: Controller, *, delay: float = 0.0, failed: frozenset[str] = frozenset()
-) -> None:
-    """Compare the textures of all objects that were not compared at their pose, in the background.
+def judge_aside(c: Controller, *, delay: float = 0.0) -> None:
+    """Judge all objects without a verdict on their pose, in the background.
 
-    The selected object comes first; each finding is shown when it is there.
+    Stored verdicts that still hold are shown at once. The selected object comes first; what its
+    texture says is shown when it is there. Contours are measured in short turns, so that other
+    updates of the background do not wait.
 
     Args:
         delay: seconds to wait first.
-        failed: names of objects that cannot be compared.
     """
-    left = [n for n in c.findings.uncompared() if n not in failed]
-    names = sorted(left, key=lambda n: n != c.selected)
+    names = sorted(_to_judge(c), key=lambda n: n != c.selected)
     if not names:
         return
-    snapshot, frame, objects = c.session.snapshot(), c.active_frame, [c.session.object(names[0])]
+    name, snapshot, frame = names[0], c.session.snapshot(), c.active_frame
+    objects, stored = [c.session.object(name)], c.session.scene.labels
+    recalled, known = c.findings.recalled, name in c.findings.judgements
 
-    def finish(found: dict[str, TextureComparison]) -> None:
-        _keep_textures(c, objects, found)
-        compare_textures_aside(c, failed=failed if found else failed | {names[0]})
+    def work(task: Task) -> _Found:
+        from annotator.session.judging import stored_judgements
 
-    c.start_aside(
-        TEXTURES, lambda task: _compare(snapshot, names[:1], frame, task), finish, delay=delay
-    )
+        if not recalled:
+            return _Found(recalled=stored_judgements(snapshot, stored))
+        return _judge(snapshot, name, frame, stored, c.judge, task, seconds=TURN_S, known=known)
+
+    def finish(found: _Found) -> None:
+        if found.recalled is not None:
+            c.findings.recalled = True
+            c.findings.keep_judgements(found.recalled)
+            if found.recalled:
+                c.emit(Event("verdict", objects=tuple(found.recalled)))
+        if found.problem:
+            c.findings.unjudgeable.add(name)
+        _keep_found(c, objects, found)
+        judge_aside(c)
+
+    c.start_aside(JUDGE, work, finish, delay=delay)
 
 
-def _compare(
-    snapshot: Snapshot, names: Sequence[str], frame: int, task: Task
-) -> dict[str, TextureComparison]:
-    from annotator.session.textures import compare_textures
+def _to_judge(c: Controller) -> list[str]:
+    """Objects without a verdict, or with a bad one whose texture was not compared."""
+    unknown = c.findings.unjudged()
+    bad = [
+        n
+        for n, judged in c.findings.judgements.items()
+        if judged.judgement.grade != "fits" and n in c.findings.uncompared()
+    ]
+    return [n for n in (*unknown, *bad) if n not in c.findings.unjudgeable]
 
-    return compare_textures(snapshot, names, frame, cancelled=lambda: task.cancelled)
+
+@dataclass(frozen=True)
+class _Found:
+    """What one turn of judging gave.
+
+    Attributes:
+        recalled: stored verdicts; None if they were not looked for.
+        textures, judged: by name.
+        problem: whether the object cannot be judged.
+    """
+
+    recalled: dict[str, Judged] | None = None
+    textures: dict[str, TextureComparison] = field(default_factory=dict)
+    judged: dict[str, Judged] = field(default_factory=dict)
+    problem: bool = False
+
+
+def _judge(
+    snapshot: Snapshot,
+    name: str,
+    frame: int,
+    stored: Labels,
+    judge: LabelCheck,
+    task: Task,
+    *,
+    seconds: float = float("inf"),
+    known: bool = False,
+) -> _Found:
+    """Go on judging an object; runs in any thread.
+
+    Args:
+        seconds: stop after the frame that ends later.
+        known: whether there is a verdict, so that only the texture is compared.
+    """
+    from annotator.session.judging import frame_of, judged_scene
+
+    i, here = snapshot.object(name).id, frame_of(snapshot, name, frame)
+    scene = judged_scene(snapshot, here, stored)
+    if scene.labels.of(i) is None:
+        return _Found(problem=True)
+    if not known and not judge.measure(scene, seconds=seconds, cancelled=lambda: task.cancelled):
+        return _Found()
+    compared = judge.compare(scene, i)
+    textures = {} if compared is None else {name: compared.comparison}
+    if known or task.cancelled:
+        return _Found(textures=textures, problem=compared is None)
+    found = judge.judge(scene, [i]).get(i)
+    if found is None:
+        return _Found(textures=textures, problem=True)
+    at = None if snapshot.posed else here
+    return _Found(textures=textures, judged={name: Judged(found.judgement, at)})
+
+
+def _keep_found(c: Controller, objects: Sequence[ObjectState], found: _Found) -> None:
+    """Store what was found of objects that did not move meanwhile."""
+    names = [o.name for o in _unmoved(c, objects)]
+    textures = {n: found.textures[n] for n in names if n in found.textures}
+    judged = {n: found.judged[n] for n in names if n in found.judged}
+    c.findings.keep_textures(textures)
+    c.findings.keep_judgements(judged)
+    if textures or judged:
+        c.emit(Event("verdict", objects=tuple({*textures, *judged})))
 
 
 def _unmoved(c: Controller, objects: Sequence[ObjectState]) -> list[ObjectState]:
@@ -112,16 +195,6 @@ def _unmoved(c: Controller, objects: Sequence[ObjectState]) -> list[ObjectState]
         if (n := now.get(o.name)) is not None
         and (n.placements, n.model, n.material) == (o.placements, o.model, o.material)
     ]
-
-
-def _keep_textures(
-    c: Controller, objects: Sequence[ObjectState], found: dict[str, TextureComparison]
-) -> None:
-    """Store comparisons of objects that did not move meanwhile."""
-    kept = [o.name for o in _unmoved(c, objects) if o.name in found]
-    c.findings.keep_textures({name: found[name] for name in kept})
-    if kept:
-        c.emit(Event("verdict", objects=tuple(kept)))
 
 
 def _keep(
@@ -142,41 +215,32 @@ def _keep(
 def toggle_done(c: Controller) -> None:
     """Mark the selected object as done, or as open again.
 
-    A front end with the dialog "done_anyway" asks first if the verdict is not good; a pose that
-    was not measured yet is measured for it.
+    A front end with the dialog "done_anyway" asks first unless the judge says that the pose fits;
+    a pose that was not judged yet is judged for it.
     """
     name = c.selected
     if name is None:
         return
-    grade = object_verdict(c, name).grade
-    known = name in c.residuals and name in c.ranks and name not in c.findings.uncompared()
+    verdict = object_verdict(c, name)
     if c.session.object(name).status == "done":
         c.mark("open")
-    elif DOUBT not in c.dialogs or grade == "fits":
+    elif DOUBT not in c.dialogs or verdict.grade == "fits":
         c.mark("done")
-    elif known or grade in ("doubtful", "wrong"):
+    elif name in c.findings.judgements or verdict.turned or name in c.findings.unjudgeable:
         c.ask(DOUBT)
     else:
-        _measure_then_mark(c, name)
+        _judge_then_mark(c, name)
 
 
-def _measure_then_mark(c: Controller, name: str) -> None:
+def _judge_then_mark(c: Controller, name: str) -> None:
     snapshot, frame = c.session.snapshot(), c.active_frame
-    frames = list(dict.fromkeys(c.view_frames))
-    objects = [snapshot.object(name)]
-    uncompared = [n for n in c.findings.uncompared() if n == name]
+    objects, stored = [snapshot.object(name)], c.session.scene.labels
 
-    def work(task: Task) -> tuple[Any, Any, Any]:
-        return (
-            _compare(snapshot, uncompared, frame, task),
-            _rank(snapshot, objects, frames, task),
-            measure_objects(snapshot, objects, frames, task),
-        )
+    def work(task: Task) -> _Found:
+        return _judge(snapshot, name, frame, stored, c.judge, task)
 
-    def finish(found: tuple[Any, Any, Any]) -> None:
-        textures, ranks, rows = found
-        _keep_textures(c, objects, textures)
-        _keep(c, objects, ranks, rows)
+    def finish(found: _Found) -> None:
+        _keep_found(c, objects, found)
         if not _unmoved(c, objects):
             c.tell(f"{name} was changed meanwhile, so it is not marked as done.", "warning")
         elif c.selected != name:
@@ -189,17 +253,16 @@ def _measure_then_mark(c: Controller, name: str) -> None:
     c.start(f"Check {name}", work, finish)
 
 
-def doubt(session: Session, name: str) -> str:
-    """Measure an object as the window does; returns why it is not known to fit, or ""."""
-    from annotator.session.textures import compare_textures
-
-    snapshot, obj = session.snapshot(), session.object(name)
-    frames = list(dict.fromkeys([*obj.placements, *choose_view_frames(session.scene, session)]))
-    task = Task(f"Check {name}")
-    rows = measure_objects(snapshot, [obj], frames, task).get(obj.id, [])
-    rank = _rank(snapshot, [obj], frames, task).get(obj.id)
-    texture = compare_textures(snapshot, [name], frames[0]).get(name)
-    verdict = measured_verdict(rows, rank, texture)
+def doubt(session: Session, name: str, *, judge: LabelCheck) -> str:
+    """Judge an object as the window does; returns why it is not known to fit, or ""."""
+    snapshot, task = session.snapshot(), Task(f"Check {name}")
+    frame = next(iter(snapshot.object(name).placements), 0)
+    found = _judge(snapshot, name, frame, session.scene.labels, judge, task)
+    judged = found.judged.get(name)
+    if judged is not None:
+        session.judged[snapshot.object(name).id] = judged
+    texture = found.textures.get(name)
+    verdict = measured_verdict((), None, texture, None if judged is None else judged.judgement)
     return "" if verdict.grade == "fits" else verdict.text
 
 
@@ -208,8 +271,7 @@ def can_take_turn(c: Controller) -> bool:
     found = c.textures.get(c.selected or "")
     return (
         found is not None
-        and found.turn is not None
-        and (found.verdict == "turned" or (found.verdict == "undecided" and found.rival_leads))
+        and can_turn(found)
         and c.session.writable
         and c.session.pose(str(c.selected), c.active_frame) is not None
     )

@@ -1,4 +1,4 @@
-"""Verdict on the pose of an object: residuals in the shown frames, rank, and texture."""
+"""Verdict on the pose of an object: that of the judge, with residuals, rank and texture."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from annotator.app.controller import Controller
-from std_toolkit.scene.judgement import Grade
+from std_toolkit.scene.judgement import Grade, Judgement
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 if TYPE_CHECKING:
@@ -82,70 +82,63 @@ def object_verdict(c: Controller, name: str) -> Verdict:
     """Return the verdict on an object from what is known of its current pose."""
     if c.session.pose(name, c.active_frame) is None:
         return Verdict("unknown", f"{name} has no pose yet.")
-    rows, texture = c.residuals.get(name, ()), c.textures.get(name)
-    if not rows and (texture is None or texture.verdict != "turned"):
-        return Verdict("unknown", f"Not measured since {name} moved.")
-    return measured_verdict(rows, c.ranks.get(name), texture)
+    judged = c.findings.judgements.get(name)
+    return measured_verdict(
+        c.residuals.get(name, ()),
+        c.ranks.get(name),
+        c.textures.get(name),
+        None if judged is None else judged.judgement,
+    )
 
 
 def measured_verdict(
-    rows: Sequence[FrameResidual], rank: PoseRank | None, texture: TextureComparison | None = None
+    rows: Sequence[FrameResidual],
+    rank: PoseRank | None,
+    texture: TextureComparison | None = None,
+    judgement: Judgement | None = None,
 ) -> Verdict:
-    """Return the verdict on a pose by its residuals, rank and texture; None: not known yet.
+    """Return the verdict on a pose: that of the judge, with what else is known; None: not yet.
 
-    It is good only if the pose beats the nearby ones, if a majority of the frames in which the
-    contour is visible says so, if no frame is clearly off, and if its texture, where it has one,
-    is confirmed. A turn that neither texture nor silhouette can tell is named.
+    A turn that fits the texture better is wrong in any case. Residuals and rank explain a verdict
+    and never give one: in clutter any contour lies near an edge, and the pose that beats its
+    neighbours may still be the wrong turn.
     """
     if texture is not None and texture.verdict == "turned":
         text = f"Wrong turn: {texture.sentence()}. Press Y to take it."
         return Verdict("wrong", text, turned=True)
-    visible = [r for r in rows if not r.problem]
-    if not visible:
-        return Verdict("unknown", "It is visible in none of these frames.")
-    worst = [r.frame for r in visible if grade_row(r) == "wrong"]
-    if worst:
-        return Verdict("wrong", f"Off in frame {', '.join(map(str, worst))}: check there.")
-    informative = [r.frame for r in visible if edge_grade(r) is not None]
-    if rank is None or not rank.good:
-        if not informative and any(depth_grade(r) is not None for r in visible):
-            return Verdict(
-                "unknown",
-                "The depth agrees, but edges are not informative here: check the contour by eye.",
-            )
-        if not informative and rank is None:
-            return Verdict(
-                "unknown", "The residuals in these frames are at chance level: check by eye."
-            )
-    if rank is None:
-        return Verdict("unknown", "It is being compared with nearby poses.")
-    said = f"{rank.sentence()[:1].upper()}{rank.sentence()[1:]}."
-    if not rank.frames or not rank.nearby:
-        return Verdict("unknown", f"{said[:-1]}; check by eye.")
-    if not rank.good:
-        return Verdict("wrong", f"Not confirmed: other poses fit as well. {said}")
-    # The distance to the nearest edge is at chance level in clutter; the rank in a frame is not.
-    shown = {r.frame for r in visible}
-    telling, total = {*informative, *rank.telling}, len(shown.union(rank.frames))
-    if 2 * len(telling) <= total:
-        text = f"{total - len(telling)} of {total} frames are at chance level: check by eye. {said}"
-        return Verdict("unknown", text)
-    if texture is None:
-        return Verdict("unknown", f"Its texture is being compared with the images. {said}")
-    seen = f"{texture.sentence()[:1].upper()}{texture.sentence()[1:]}."
-    if texture.verdict == "other":
-        return Verdict("wrong", f"{seen} {said}")
-    if texture.rival_leads:
-        seen += " Press Y to turn it there."
-    if any(grade_row(r) == "doubtful" for r in visible):
-        unsure = f" {seen}" if texture.verdict == "undecided" and texture.textured else ""
-        return Verdict("doubtful", f"Close, but not exact.{unsure} {said}")
-    if texture.verdict == "undecided" and texture.textured:
-        return Verdict("unknown", f"{seen} {said}")
-    also = f" {seen}" if texture.textured else ""
-    if texture.verdict == "ambiguous":
-        also = f" The turn{_axis(texture.text)} is not determined: geometry cannot tell it."
-    return Verdict("fits", f"It fits. {said}{also}")
+    grade: Grade = "unknown" if judgement is None else judgement.grade
+    said = [_HEADS[grade].format(judgement.reason) if judgement is not None else "Not judged yet."]
+    if texture is not None and texture.textured and texture.verdict in ("undecided", "other"):
+        seen = texture.sentence()
+        said += [] if seen in said[0] else [_sentence(seen)]
+        said += ["Press Y to turn it there."] if texture.rival_leads and can_turn(texture) else []
+    elif texture is not None and texture.verdict == "ambiguous":
+        said.append(f"The turn{_axis(texture.text)} is not determined: geometry cannot tell it.")
+    if grade != "fits":
+        off = [str(r.frame) for r in rows if not r.problem and grade_row(r) == "wrong"]
+        said += [f"Its contour is off in frame {', '.join(off)}: look there."] if off else []
+    # That a wrong pose beats its neighbours helps nobody.
+    if rank is not None and (grade in ("fits", "unknown") or not rank.good):
+        said.append(_sentence(rank.sentence()))
+    return Verdict(grade, " ".join(said))
+
+
+_HEADS: dict[Grade, str] = {
+    "fits": "It fits: {}.",
+    "doubtful": "Doubtful: {}.",
+    "wrong": "Wrong: {}.",
+    "unknown": "Unknown: {}.",
+}
+
+
+def can_turn(texture: TextureComparison) -> bool:
+    """Whether a turn is offered: its texture fits better, or scores higher."""
+    leads = texture.verdict == "undecided" and texture.rival_leads
+    return texture.turn is not None and (texture.verdict == "turned" or leads)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _axis(turn: str) -> str:

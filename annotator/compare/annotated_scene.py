@@ -16,6 +16,7 @@ from std_toolkit.geometry import SE3, Camera, Symmetry
 from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
 from std_toolkit.labels.propagate import place_label
 from std_toolkit.scene import Label, Model, Object, Scene
+from std_toolkit.scene.label_verdicts import LabelVerdict, label_verdicts
 from std_toolkit.scene.model import annotated_views, pose_from_list
 from std_toolkit.scene.scene import require_metres
 from std_toolkit.settings import Settings, limit
@@ -161,6 +162,11 @@ class AnnotatedScene:
             if (label := self.scene.labels.of(obj.id)) is not None
         ]
 
+    @cached_property
+    def verdicts(self) -> dict[int, LabelVerdict]:
+        """What the check or the annotation tool says of the labels, as far as it holds, by id."""
+        return {v.object: v for v in label_verdicts(self.scene)}
+
     @property
     def unlabelled(self) -> list[str]:
         """Names of the objects without a label."""
@@ -192,6 +198,11 @@ class LabelledObject:
     @property
     def symmetry(self) -> Symmetry:
         return self.model.symmetry.symmetry()
+
+    @property
+    def judged(self) -> LabelVerdict:
+        """The stored verdict on the label; "unknown" if there is none that holds."""
+        return self.owner.verdicts[self.object.id]
 
     @cached_property
     def outline(self) -> NDArray[np.float64]:

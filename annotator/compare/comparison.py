@@ -313,6 +313,8 @@ _COLUMNS = (
     "median_mm",
     "max_mm",
     "mostly",
+    "judged_a",
+    "judged_b",
 )
 
 
@@ -325,6 +327,8 @@ def _row(comparison: Comparison, x: ObjectAgreement) -> dict[str, Any]:
         "verdict": x.verdict,
         "frames": len(x.mssd_by_frame),
         "mostly": x.mostly,
+        "judged_a": x.a.judged.grade,
+        "judged_b": x.b.judged.grade,
     }
     d = x.difference
     if d is None or x.frame is None:

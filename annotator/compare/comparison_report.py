@@ -34,6 +34,8 @@ _SHOWN = {
     "median_mm": "median mm",
     "max_mm": "max mm",
     "verdict": "verdict",
+    "judged_a": "judged A",
+    "judged_b": "judged B",
 }
 
 PANEL = (640, 480)
@@ -70,12 +72,23 @@ def comparison_lines(comparison: Comparison) -> list[str]:
         lines = [f"to review (above {threshold}, or not comparable):", *_indented(lines), ""]
     if c.objects:
         table = c.table[list(_SHOWN)].rename(columns=_SHOWN)
+        if all(x.judged.grade == "unknown" for row in c.objects for x in (row.a, row.b)):
+            table = table.drop(columns=["judged A", "judged B"])
         table["frame"] = table["frame"].astype("Int64").astype(str).replace("<NA>", "-")
         lines += table.to_string(index=False, float_format="%.1f", na_rep="-").splitlines()
         lines.append("")
     for name, alone in ((c.a.name, c.only_a), (c.b.name, c.only_b)):
         if alone:
             lines.append(f"labelled in {name} only: {', '.join(alone)}")
+    refused = [
+        f"{x.owner.name}: {x.judged.line()}"
+        for row in c.objects
+        for x in (row.a, row.b)
+        if x.judged.grade in ("doubtful", "wrong")
+    ]
+    if refused:
+        # Two annotators may make the same mistake, such as half a turn.
+        lines += ["labels that the images speak against:", *_indented(refused)]
     lines += [f"note: {note}" for note in c.notes]
     lines.append(summary_line(c))
     return lines

@@ -24,11 +24,12 @@ from annotator.session.journal import (
     set_aside,
 )
 from annotator.session.meshes import MeshLibrary
-from annotator.session.state import AnnotationState, Cameras, Queries, Snapshot
+from annotator.session.state import AnnotationState, Cameras, Judged, Queries, Snapshot
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import decode_document
 from std_toolkit.scene import Scene
+from std_toolkit.scene.judgement import Judgement
 
 if TYPE_CHECKING:
     from annotator.session.requests import Outcome, Request
@@ -68,6 +69,8 @@ class Editing(Queries):
         stored = merge.Stored.of(scene)
         opened = merge.state_of(scene, self._cameras, stored)
         self.warnings = list(opened.warnings)
+        # Verdicts of this session by object id; saved with the labels while they hold.
+        self.judged: dict[int, Judged] = {}
         self.recovery: recovery.Recovery | None = None
         self._ledger = ledger.Ledger(merge.Version(stored, opened.state))
 
@@ -111,6 +114,11 @@ class Editing(Queries):
     def hands_on_s(self, name: str) -> float:
         """Return the working time on an object since its label was last saved, s; a lower bound."""
         return self._ledger.hands_on.seconds(self.object(name).id)
+
+    def judgement(self, name: str) -> Judgement | None:
+        """Return what was measured of an object's present pose, in this session or before."""
+        measured = self.judged.get(self.object(name).id)
+        return self._cameras.judgement(self.state, name, measured)
 
     def snapshot(self) -> Snapshot:
         """Return an immutable copy of the session for use in another thread."""

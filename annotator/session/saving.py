@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -14,11 +15,13 @@ from annotator.session.merge import Stored, Version, content
 from annotator.session.state import (
     AnnotationState,
     Cameras,
+    Judged,
     ObjectState,
     Placement,
     object_table,
 )
 from std_toolkit import __version__
+from std_toolkit.geometry import SE3
 from std_toolkit.labels.entry.label import annotated_label
 from std_toolkit.log import collected_warnings
 from std_toolkit.scene import (
@@ -72,7 +75,11 @@ class SaveReport:
 
 
 def documents_of(
-    state: AnnotationState, base: Version, hands_on: WorkTimer | None, cameras: Cameras
+    state: AnnotationState,
+    base: Version,
+    hands_on: WorkTimer | None,
+    cameras: Cameras,
+    judged: Mapping[int, Judged] = MappingProxyType({}),
 ) -> Stored:
     """Return the documents of the state; unchanged parts stay as in `base`.
 
@@ -82,6 +89,7 @@ def documents_of(
         base: the current documents of the scene.
         hands_on: working time since they were last written, or None without manual work.
         cameras: camera poses of the scene.
+        judged: what was measured of the present poses, by object id.
     """
     shown = {o.id: o for o in base.state.objects}
     labels, rows = [], []
@@ -91,12 +99,13 @@ def documents_of(
             label = old
         else:
             label = _label(obj, old, hands_on)
-            if label is not None and old is not None:
-                T = cameras.T_world_obj(state, obj.name)
-                kept = kept_judgement(old.judgement, T)
-                label = msgspec.structs.replace(label, judgement=kept)
-        labels += [] if label is None else [label]
-        row = _work(obj, cameras.judgement(state, obj.name) or msgspec.UNSET)
+        if label is not None:
+            T = cameras.T_world_obj(state, obj.name)
+            measured = judged.get(obj.id)
+            label = _with_judgement(label, old, T, measured)
+            labels.append(label)
+        found = cameras.judgement(state, obj.name, judged.get(obj.id))
+        row = _work(obj, found or msgspec.UNSET)
         known = base.stored.annotation.of(obj.id)
         same = content(obj)["work"] == content(shown.get(obj.id))["work"]
         if same and row.judgement == known.judgement:
@@ -156,6 +165,20 @@ def _label(obj: ObjectState, old: Label | None, hands_on: WorkTimer | None) -> L
         annotator=latest.annotator,
         provenance=_provenance(obj, latest, old, hands_on),
     )
+
+
+def _with_judgement(
+    label: Label, old: Label | None, T_world_obj: SE3 | None, measured: Judged | None
+) -> Label:
+    """The label with a judgement that holds for its pose: the stored one, or a new one."""
+    kept: Judgement | msgspec.UnsetType = msgspec.UNSET
+    if old is not None:
+        kept = old.judgement if label is old else kept_judgement(old.judgement, T_world_obj)
+    if measured is not None and measured.frame is None:
+        new = kept_judgement(measured.judgement, T_world_obj)
+        stale = isinstance(kept, msgspec.UnsetType) or kept.inputs != measured.judgement.inputs
+        kept = new if stale and not isinstance(new, msgspec.UnsetType) else kept
+    return msgspec.structs.replace(label, judgement=kept) if kept != label.judgement else label
 
 
 def _provenance(

@@ -194,6 +194,7 @@ class Session(Editing):
                 base,
                 self._ledger.hands_on if self._by_hand else None,
                 self._cameras,
+                self.judged,
             )
             files = saving.write_documents(self.scene, new)
             warnings = self._note_saved(new)

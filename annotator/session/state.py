@@ -134,6 +134,19 @@ class AnnotationState(document.Document, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
+class Judged:
+    """A judgement, and the frame of coordinates of its poses.
+
+    Attributes:
+        judgement: the verdict.
+        frame: frame id of the camera; None for the world.
+    """
+
+    judgement: Judgement
+    frame: int | None = None
+
+
+@dataclass(frozen=True)
 class Cameras:
     """Metric camera poses of a scene; immutable.
 
@@ -178,24 +191,34 @@ class Cameras:
             return None
         return T_world_cam.inverse() @ T_world_obj
 
-    def judgement(self, state: AnnotationState, name: str) -> Judgement | None:
+    def judgement(
+        self, state: AnnotationState, name: str, measured: Judged | None = None
+    ) -> Judgement | None:
         """Return what was measured of an object's present pose, in the camera of its first frame.
 
         Notes, status and nudges keep it while the pose lies within a tenth of its deviation from
         the one that was measured; nudges add up. None if there is none, or the pose left it behind.
+
+        Args:
+            measured: what was measured meanwhile; it counts first.
         """
         obj = state.object(name)
-        if isinstance(obj.judged_frame, msgspec.UnsetType) or not obj.placements:
+        if measured is None and not isinstance(obj.judged_frame, msgspec.UnsetType):
+            assert not isinstance(obj.judgement, msgspec.UnsetType)
+            measured = Judged(obj.judgement, obj.judged_frame)
+        if measured is None or not obj.placements:
             return None
-        now = self.pose(state, name, obj.judged_frame)
-        judgement = kept_judgement(obj.judgement, now)
+        at = measured.frame
+        now = self.T_world_obj(state, name) if at is None else self.pose(state, name, at)
+        judgement = kept_judgement(measured.judgement, now)
         if isinstance(judgement, msgspec.UnsetType):
             return None
         frame = next(iter(obj.placements))
-        if frame == obj.judged_frame:
+        if frame == at:
             return judgement
         there = self.pose(state, name, frame)
-        assert there is not None and now is not None
+        if there is None or now is None:
+            return None
         T_there_here = there @ now.inverse()
         moved = {
             key: (T_there_here @ document.pose_from_list(T)).flat()

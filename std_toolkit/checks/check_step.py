@@ -25,7 +25,9 @@ from std_toolkit.checks.measure.coverage import spread
 from std_toolkit.checks.measure.textures import compare_textures
 from std_toolkit.checks.page import figures, overlay
 from std_toolkit.checks.page.report import PageParts, render_page
+from std_toolkit.checks.page.shape_figure import shape_blocks
 from std_toolkit.checks.page.view3d import Cloud, fused_cloud, scene_figure, sparse_cloud
+from std_toolkit.checks.shapes import find_shapes, with_shapes
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
 from std_toolkit.io.documents import digest_files, document_bytes, read_document
 from std_toolkit.jobs import JobOptions, run_jobs
@@ -178,6 +180,8 @@ def _check(
     if sparse is None and report.summary.registered:
         report.missing.append("The points of the reconstruction (poses/points.ply).")
 
+    shapes = find_shapes(scene, report, readable, options)
+    report = with_shapes(report, shapes)
     if options.inject:
         found = inject_faults(scene, observed, fingerprint, options, jobs, up=up)
         report = msgspec.structs.replace(report, detectability=found)
@@ -192,9 +196,8 @@ def _check(
     drawn.raise_if_failed()
     pictures: list[overlay.FramePictures] = list(drawn.results.values())
     view3d = scene_figure(scene, up, sparse, fused)
-    parts = PageParts(
-        view3d, figures.sky_figure(_sky(scene, report.objects, up), report.objects), pictures
-    )
+    sky = figures.sky_figure(_sky(scene, report.objects, up), report.objects)
+    parts = PageParts(view3d, sky, pictures, shape_blocks(report.objects, shapes))
     return report, render_page(report, parts)
 
 

@@ -6,10 +6,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.result import CheckReport, ObjectCheck, Value
+from std_toolkit.checks.measure.textures import TextureFinding
+from std_toolkit.checks.result import CheckReport, GateFinding, ObjectCheck, Value
+from std_toolkit.checks.shapes import size_sentence
 from std_toolkit.scene.judgement import Evidence, Judgement, Source
 from std_toolkit.scene.label_verdicts import judgement_inputs
-from std_toolkit.scene.model import Label, Labels
+from std_toolkit.scene.model import Label, Labels, pose_from_list
 from std_toolkit.scene.scene import Scene
 
 # What a failure of a gate says of its cause.
@@ -46,6 +48,7 @@ def judgement_of(
     label: Label,
     inputs: str,
     time: str,
+    texture: TextureFinding | None = None,
 ) -> Judgement:
     """The judgement of one label.
 
@@ -55,6 +58,7 @@ def judgement_of(
         label: its label, with a pose in the world.
         inputs: digest of what was measured; see `judgement_inputs`.
         time: when it was measured, UTC, ISO 8601.
+        texture: what its texture says, for the pose of a turn that fits better.
     """
     assert label.T_world_obj is not None
     pose = item.entry("pose_mm")
@@ -74,6 +78,7 @@ def judgement_of(
         cause=next((_CAUSES[key] for key in failed if key in _CAUSES), item.text("pose_mm")),
         reason=reason,
         T_obj=label.T_world_obj,
+        T_rival=_rival(label.T_world_obj, texture),
         deviation_mm=_weakest(covariance, slice(0, 3)),
         deviation_deg=_weakest(covariance, slice(3, 6)),
         inputs=inputs,
@@ -84,25 +89,56 @@ def judgement_of(
 
 def reason_of(item: ObjectCheck, report: CheckReport) -> str:
     """The verdict of an object in one sentence: the findings that gave it."""
+    size = size_sentence(item)
     if item.verdict == "fits":
-        return item.text("within") or "the images agree with the label"
+        fits = item.text("within") or "the images agree with the label"
+        return f"{fits}; {size}" if size else fits
     parts: list[str] = []
+    unmeasured: list[str] = []
     for finding in item.gates:
         if finding.verdict != item.verdict:
             continue
-        if finding.gate in ("motion", "rotation", "seen") and item.text("within"):
+        if finding.detail and (finding.verdict == "unknown" or finding.gate in _IN_WORDS):
+            parts.append(finding.detail)
+        elif finding.gate in ("motion", "rotation", "seen") and item.text("within"):
             parts = [item.text("within"), *[p for p in parts if p != item.text("within")]]
-            continue
-        row = report.gate(finding.gate)
-        title = row.title.split(", worst ")[0]
-        unit = f" {row.unit}" if row.unit else ""
-        if finding.value is None or not row.limit:
-            parts.append(title if finding.value is not None else f"not measured: {title}")
         else:
-            parts.append(
-                f"{title}: {finding.value:.4g}{unit}, must be {row.rule} {row.limit:g}{unit}"
-            )
-    return "; ".join(parts) or "nothing was measured"
+            said, known = _gate_in_words(finding, report)
+            if not (finding.gate == "size" and size):
+                (parts if known else unmeasured).append(said)
+    parts += [size] if size else []
+    return "; ".join(parts or unmeasured) or "nothing was measured"
+
+
+# What these gates find is a sentence, and their value a count.
+_IN_WORDS = ("texture", "seen", "overlap")
+# What the others say of a single object, where their title speaks of all.
+_OF_ONE = {
+    "moved": "it moved during the recording",
+    "symmetry": "its mesh has not the symmetry that is declared",
+    "meshes": "its mesh cannot be read",
+}
+
+
+def _gate_in_words(finding: GateFinding, report: CheckReport) -> tuple[str, bool]:
+    """What a gate says of an object, and whether it was measured."""
+    row = report.gate(finding.gate)
+    title = _OF_ONE.get(finding.gate) or row.title.split(", worst ")[0]
+    unit = f" {row.unit}" if row.unit else ""
+    if finding.value is None:
+        return f"not measured: {title}", False
+    if not row.limit:
+        return title, True
+    return f"{title}: {finding.value:.4g}{unit}, must be {row.rule} {row.limit:g}{unit}", True
+
+
+def _rival(T_world_obj: list[float], texture: TextureFinding | None) -> list[float] | None:
+    found = None if texture is None else texture.comparison
+    if found is None or found.turn is None:
+        return None
+    if found.verdict != "turned" and not (found.verdict == "undecided" and found.rival_leads):
+        return None
+    return (pose_from_list(T_world_obj) @ found.turn).flat()
 
 
 def _kept(label: Label, judgement: Judgement | msgspec.UnsetType) -> Judgement | msgspec.UnsetType:

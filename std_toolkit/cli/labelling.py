@@ -52,11 +52,15 @@ def label(command: LabelArguments) -> int:
 def propagate(command: PropagateCommand) -> int:
     """Propagate labels; 1 if an object has no pose."""
     from std_toolkit.labels.propagate import label_lines, propagate_labels
+    from std_toolkit.scene.label_verdicts import label_verdicts
     from std_toolkit.scene.scene import Scene
 
     scene = Scene.open(command.scene)
     labels = propagate_labels(scene, command.options)
     print("\n".join(label_lines(scene, labels)))
+    unjudged = sum(v.grade == "unknown" for v in label_verdicts(scene))
+    if unjudged:
+        print(f"{unjudged} of {len(labels.labels)} labels have no verdict: run `std-curate check`")
     chosen = {scene.objects.object_named(n).id for n in command.options.objects or ()}
     placed = {x.object: x.T_world_obj is not None for x in labels.labels}
     return 0 if all(placed[x] for x in chosen or placed) else 1

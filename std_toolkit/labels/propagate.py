@@ -26,6 +26,7 @@ from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.options import PropagateOptions
 from std_toolkit.scene.judgement import kept_judgement
+from std_toolkit.scene.label_verdicts import label_verdicts
 from std_toolkit.scene.model import (
     Label,
     Labels,
@@ -306,8 +307,9 @@ def _projection(view: AnnotatedView, pose: SE3, X: Array, pixels: Array) -> tupl
 
 
 def label_lines(scene: Scene, labels: Labels) -> Iterator[str]:
-    """One line per label, and one on its uncertainty if it is known."""
+    """One line per label, and more on its uncertainty and its verdict if they are known."""
     registered = len(scene.registered_frames())
+    verdicts = {v.object: v for v in label_verdicts(scene)}
     for label in labels.labels:
         name = scene.objects.object(label.object).name
         if label.T_world_obj is None:
@@ -326,3 +328,6 @@ def label_lines(scene: Scene, labels: Labels) -> Iterator[str]:
             yield f"  standard deviation ({millimetres}) mm, ({degrees}) deg on the object's axes"
         if label.weak_direction:
             yield f"  {label.weak_direction}"
+        judged = verdicts.get(label.object)
+        if judged is not None and not isinstance(label.judgement, msgspec.UnsetType):
+            yield f"  {judged.line().removeprefix(f'{name}: ')}"

@@ -8,26 +8,21 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
-from annotator.app.verdicts import measured_verdict
 from annotator.cli import main
-from annotator.session.residuals import measure_residuals
-from std_toolkit.checks.measure.ranking import rank_objects
+from std_toolkit.checks.label_check import LabelCheck
 from std_toolkit.checks.measure.residuals import ObjectObservation, observe_frame
-from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.se3 import SE3, so3_exp
-from std_toolkit.labels.refine_step import scene_object
-from std_toolkit.labels.texture_step import compare_objects, scene_views
 from std_toolkit.options import CheckOptions, PoseOptions
 from std_toolkit.poses.pose_step import estimate_poses
-from std_toolkit.rendering.texture import TexturedSurface
 from std_toolkit.scene import Scene
+from std_toolkit.scene.memory_scene import MemoryScene
 
 pytestmark = [pytest.mark.slow, pytest.mark.real, pytest.mark.timeout(1800)]
 
@@ -129,22 +124,15 @@ def test_the_label_tells_how_it_was_made(labelled: Scene) -> None:
 
 @pytest.mark.parametrize("axis, degrees", [(2, 0), (0, 20), (1, -35), (2, 20), (2, -50)], ids=str)
 def test_only_the_label_is_said_to_fit(labelled: Scene, axis: int, degrees: float) -> None:
-    """The verdict of the window: the edges of this cluttered table are near every contour."""
-    label, mesh = labelled.T_world_obj(1), labelled.mesh("mustard")
-    assert label is not None
-    centre = mesh_bounds(mesh).mean(axis=0)
+    """The verdict of window and check: the edges of this cluttered table are near every contour."""
+    pose = labelled.T_world_obj(1)
+    assert pose is not None
+    centre = mesh_bounds(labelled.mesh("mustard")).mean(axis=0)
     R = so3_exp(np.eye(3)[axis] * np.deg2rad(degrees))
-    placed = label @ SE3(R, centre - R @ centre)
-    frames = [f.id for f in labelled.registered_frames()]
-
-    def pose(frame: int) -> SE3 | None:
-        T_world_cam = labelled.T_world_cam(frame)
-        return None if T_world_cam is None else T_world_cam.inverse() @ placed
-
-    rank = rank_objects(labelled, {1: pose}, {1: mesh}, {1: Symmetry()}, frames)[1]
-    rows = measure_residuals(labelled, {1: pose}, {1: "diffuse"}, {1: mesh}, frames[::20])[1]
-    obj = scene_object(labelled, 1, placed, mesh=mesh)
-    obj = replace(obj, texture=TexturedSurface.from_mesh(mesh))
-    texture = compare_objects(scene_views(labelled), {1: obj}, [1])[1]
-    found = measured_verdict(rows, rank, texture)
-    assert (found.grade == "fits") == (degrees == 0), (found, rank)
+    placed = pose @ SE3(R, centre - R @ centre)
+    label = labelled.labels.of(1)
+    assert label is not None
+    moved = msgspec.structs.replace(label, T_world_obj=placed.flat())
+    scene = MemoryScene(labelled, labels=labelled.labels.with_label(moved))
+    found = LabelCheck().judge(scene, [1])[1].judgement
+    assert (found.grade == "fits") == (degrees == 0), found

@@ -350,6 +350,7 @@ class ObjectGate(Gate):
             verdict=reading.verdict
             or ("fits" if self.meets(reading, measured.options) else beyond),
             exempt=exempt or reading.excuse,
+            detail=reading.detail,
         )
 
     def warnings(self, measured: Measured) -> list[CheckWarning]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 
 import msgspec
@@ -83,6 +83,7 @@ def judge_scene(
     up: NDArray[np.float64],
     compared: Mapping[int, textures.TextureFinding] | None = None,
     sizes: ScaleEstimate | None = None,
+    only: Collection[int] | None = None,
 ) -> result.CheckReport:
     """Aggregate the measurements and evaluate the gates; writes nothing.
 
@@ -94,6 +95,8 @@ def judge_scene(
         up: (3,) unit vector that points up in the world.
         compared: comparisons of the textures, by object id; see `textures.compare_textures`.
         sizes: scale from the sizes of the objects; see `object_sizes.measure_sizes`.
+        only: ids of the objects to judge; the motions of the others are not solved, so that their
+            rows say nothing of their poses.
     """
     bias = aggregate.common_depth_bias(scene, observed)
     objects = aggregate.check_objects(scene, observed, up=up, depth_bias=bias)
@@ -101,7 +104,10 @@ def judge_scene(
     materials = aggregate.check_materials(scene, observed)
     objects = textures.with_textures(objects, compared or {})
     planes = standing_of(scene, objects, up)
-    objects = with_motions(scene, objects, observed, options, up=planes.up)
+    judged = [o for o in objects if only is None or o.object in only]
+    moved = with_motions(scene, judged, observed, options, up=planes.up)
+    solved = {o.object: o for o in moved}
+    objects = [solved.get(o.object, o) for o in objects]
     objects = with_placements(scene, objects)
     objects = with_standing(scene, objects, planes)
     summary = _summary(scene, objects, rows, observed, bias)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from std_toolkit.checks.detectability import FaultName
 from std_toolkit.checks.measure.contours import object_centre
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.se3 import so3_exp
-from std_toolkit.scene import CameraPoses, Frame, Labels, ObjectTable, Scene
+from std_toolkit.scene import CameraPoses, Frame, ObjectTable, Scene
+from std_toolkit.scene.memory_scene import MemoryScene
 from std_toolkit.scene.model import Label, pose_from_list
 
 Vector = tuple[float, float, float]
@@ -118,30 +118,17 @@ class Fault:
         return np.asarray(across / length)
 
 
-class FaultyScene(Scene):
-    """A scene in memory that differs from the one on disk.
+class FaultyScene(MemoryScene):
+    """A scene in memory with a fault.
 
     Args:
         scene: the scene.
-        labels, poses, objects: replace those of the scene.
-        meshes: by model id, for models that are not on disk.
         depth_shift_px: number of columns by which sensor depth is moved to the right.
+        changes: see `MemoryScene`.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        labels: Labels | None = None,
-        poses: CameraPoses | None = None,
-        objects: ObjectTable | None = None,
-        meshes: dict[str, trimesh.Trimesh] | None = None,
-        depth_shift_px: int = 0,
-    ) -> None:
-        super().__init__(scene.root, scene.info, scene.frame_table, objects or scene.objects)
-        self.__dict__["labels"] = labels or scene.labels
-        self.__dict__["poses"] = poses or scene.poses
-        self._meshes = {**scene._meshes, **(meshes or {})}
+    def __init__(self, scene: Scene, *, depth_shift_px: int = 0, **changes: Any) -> None:
+        super().__init__(scene, **changes)
         self._depth_shift_px = depth_shift_px
 
     def read_depth(self, frame: Frame) -> NDArray[np.float32] | None:

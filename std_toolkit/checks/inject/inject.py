@@ -1,21 +1,21 @@
-"""Smallest faults that the gates of the check catch in a scene (`std-curate check --inject`).
+"""Smallest faults that the judge of the check catches in a scene (`std-curate check --inject`).
 
-Each kind of fault has a ladder of sizes. The smallest size that the gates catch is found by
-bisection on the ladder, for all objects and kinds at once, so that every round is one job. A frame
-is measured again only where the fault changes it.
+Each kind of fault has a ladder of sizes. The smallest size that is caught is found by bisection on
+the ladder, for all objects and kinds at once, so that every round is one job. A frame is measured
+again only where the fault changes it, and only the object of a fault is judged again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.checks.detectability import Detectability, FaultRow, FaultTrial
+from std_toolkit.checks.detectability import Detectability
 from std_toolkit.checks.gates.gate import REFUSED
 from std_toolkit.checks.gates.judge import judge_scene
 from std_toolkit.checks.inject.faults import (
@@ -26,17 +26,20 @@ from std_toolkit.checks.inject.faults import (
     apply_fault,
     has_no_effect,
 )
+from std_toolkit.checks.inject.ladder import Search, TrialOutcome
 from std_toolkit.checks.measure.contours import LabelCaster, object_centre
 from std_toolkit.checks.measure.coverage import spread
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame, open_for_work
-from std_toolkit.checks.measure.textures import TextureFinding, compare_textures
-from std_toolkit.checks.result import CheckGate, CheckReport
+from std_toolkit.checks.measure.textures import compare_textures
+from std_toolkit.checks.result import CheckReport
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 
 # Starting worker processes takes longer than measuring this many frames.
 _SERIAL_BELOW = 12
+# Number of frames in which a promise is tried, where the search uses fewer.
+CONFIRMED_IN = 40
 
 
 @dataclass(frozen=True)
@@ -45,57 +48,6 @@ class FaultItem:
 
     fault: Fault
     frame: int
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """The gates with one fault in one direction."""
-
-    caught_by: tuple[str, ...]
-    gates: dict[str, CheckGate]
-
-
-@dataclass
-class _Search:
-    """Bisection of one kind of fault on its ladder.
-
-    Attributes:
-        fault: the fault with size 0.
-        frames: ids of the frames that it changes.
-        low, high: indices of the largest size known as missed and the smallest known as caught.
-        outcomes: by size.
-    """
-
-    kind: FaultKind
-    fault: Fault
-    name: str
-    frames: list[int]
-    note: str = ""
-    low: int = -1
-    high: int = 0
-    outcomes: dict[float, list[_Outcome]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.high = len(self.kind.sizes)
-
-    @property
-    def is_done(self) -> bool:
-        return bool(self.note) or self.high - self.low <= 1
-
-    @property
-    def middle(self) -> int:
-        return (self.low + self.high) // 2
-
-    def next_faults(self) -> list[Fault]:
-        size = self.kind.sizes[self.middle]
-        return [replace(self.fault, size=sign * size) for sign in self.kind.signs]
-
-    def record(self, outcomes: list[_Outcome]) -> None:
-        self.outcomes[self.kind.sizes[self.middle]] = outcomes
-        if all(o.caught_by for o in outcomes):
-            self.high = self.middle
-        else:
-            self.low = self.middle
 
 
 def inject_faults(
@@ -108,10 +60,11 @@ def inject_faults(
     up: NDArray[np.float64],
     kinds: Sequence[FaultKind] = KINDS,
 ) -> Detectability:
-    """Put faults of growing size into the scene in memory and evaluate the gates.
+    """Put faults of growing size into the scene in memory and ask the judge.
 
-    A fault is caught if a gate fails that passes without it, or if the verdict of its object
-    turns doubtful or wrong. Faults with two directions must be caught in both.
+    A fault of an object is caught if its verdict turns doubtful or wrong, whatever other objects
+    say. Faults with two directions must be caught in both. In recordings with more frames than the
+    search uses, every smallest size is tried again with more of them.
 
     Args:
         scene: an open scene; none of its files changes.
@@ -125,47 +78,114 @@ def inject_faults(
     Raises:
         ToolkitError: a file of a frame is missing or damaged.
     """
-    base = spread(observed, options.inject_frames)
-    textures = compare_textures(scene, [scene.frame(o.frame) for o in base])
-    plain = judge_scene(scene, base, {}, options, up=up, compared=textures)
-    labelled = [o for o in scene.objects.objects if any(o.id in f.objects for f in base)]
+    few = _Trials(scene, spread(observed, options.inject_frames), fingerprint, options, jobs, up)
+    labelled = [o for o in scene.objects.objects if any(o.id in f.objects for f in few.base)]
     chosen = spread(labelled, options.inject_objects)
-    camera_frame = _camera_frame(base)
+    camera_frame = _camera_frame(few.base)
     searches = [
-        *_object_searches(scene, base, [o.id for o in chosen], kinds, up),
-        *_scene_searches(base, camera_frame, kinds),
+        *_object_searches(few, [o.id for o in chosen], kinds),
+        *_scene_searches(few.base, camera_frame, kinds),
     ]
-    measure = partial(observe_with_fault, root=scene.root, fingerprint=fingerprint, options=options)
-    pending = [s for s in searches if not s.is_done]
-    turn = 0
-    while pending:
-        turn += 1
-        items = [FaultItem(f, i) for s in pending for f in s.next_faults() for i in s.frames]
-        job = run_jobs(
-            measure,
-            items,
-            name=f"inject {turn}",
-            key=_item_key,
-            options=replace(jobs or JobOptions(), engine="serial")
-            if len(items) < _SERIAL_BELOW and (jobs is None or jobs.engine == "local")
-            else jobs,
-        )
-        job.raise_if_failed()
-        for search in pending:
-            outcomes = []
-            for fault in search.next_faults():
-                measured = [job.results[_item_key(FaultItem(fault, i))] for i in search.frames]
-                report = _judge(scene, fault, base, measured, textures, options, up)
-                outcomes.append(_compare(plain, report, fault))
-            search.record(outcomes)
-        pending = [s for s in pending if not s.is_done]
+    while pending := [(s, size) for s in searches for size in s.next_sizes()]:
+        for (search, size), outcomes in zip(pending, few.outcomes(pending), strict=True):
+            search.record(size, outcomes)
+    frames = max(options.inject_frames, CONFIRMED_IN) if options.inject_frames else 0
+    more = spread(observed, frames)
+    unsure = [s for s in searches if s.fault.object] if len(more) > len(few.base) else []
+    if unsure:
+        many = _Trials(scene, more, fingerprint, options, jobs, up)
+        for search in unsure:
+            search.frames = many.frames_of(search.fault)
+        while promised := [(s, p) for s in unsure if (p := s.promise) is not None]:
+            found = zip(promised, many.outcomes(promised), strict=True)
+            unsure = [s for (s, _), outcomes in found if not s.confirm(outcomes)]
     return Detectability(
-        frames=[o.frame for o in base],
+        frames=[o.frame for o in few.base],
+        confirmed_in=len(more),
         camera_frame=camera_frame,
         left_out=[o.name for o in labelled if o not in chosen],
-        passed=plain.passed,
-        rows=[_row(s, plain) for s in searches],
+        passed=few.plain.passed,
+        rows=[s.row(few.plain) for s in searches],
     )
+
+
+class _Trials:
+    """Faults in some of the frames, and what the judge says of them.
+
+    Attributes:
+        scene: the scene without a fault.
+        base: its frames.
+        plain: the report on them.
+        up: see `inject_faults`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        base: Sequence[FrameObservation],
+        fingerprint: str,
+        options: CheckOptions,
+        jobs: JobOptions | None,
+        up: NDArray[np.float64],
+    ) -> None:
+        self.scene, self.base, self.up = scene, list(base), up
+        self._options, self._jobs, self._turn = options, jobs or JobOptions(), 0
+        self._measure = partial(
+            observe_with_fault, root=scene.root, fingerprint=fingerprint, options=options
+        )
+        self._textures = compare_textures(scene, [scene.frame(o.frame) for o in base])
+        self.plain = judge_scene(scene, self.base, {}, options, up=up, compared=self._textures)
+
+    def frames_of(self, fault: Fault) -> list[int]:
+        """Ids of the frames that a fault of an object changes."""
+        seen = [o.frame for o in self.base if fault.object in o.objects]
+        return seen[(len(seen) + 1) // 2 :] if fault.name == "moved" else seen
+
+    def outcomes(self, pending: Sequence[tuple[Search, float]]) -> list[list[TrialOutcome]]:
+        """What the judge says of some searches with faults of a size, in each direction."""
+        self._turn += 1
+        items = [FaultItem(f, i) for s, size in pending for f in s.faults(size) for i in s.frames]
+        serial = len(items) < _SERIAL_BELOW and self._jobs.engine == "local"
+        job = run_jobs(
+            self._measure,
+            items,
+            name=f"inject {self._turn} in {len(self.base)} frames",
+            key=_item_key,
+            options=replace(self._jobs, engine="serial") if serial else self._jobs,
+        )
+        job.raise_if_failed()
+        found = []
+        for search, size in pending:
+            outcomes = []
+            for fault in search.faults(size):
+                measured = [job.results[_item_key(FaultItem(fault, i))] for i in search.frames]
+                report = self._judge(fault, measured)
+                outcomes.append(TrialOutcome.of(self.plain, report, fault))
+            found.append(outcomes)
+        return found
+
+    def _judge(self, fault: Fault, measured: Sequence[FrameObservation]) -> CheckReport:
+        """The report with the measurements of a fault in place of those without it."""
+        again = {m.frame: m for m in measured}
+        observed = [_merged(o, again[o.frame], fault) if o.frame in again else o for o in self.base]
+        # The label of an object that moved is right in the other frames.
+        altered = self.scene if fault.name == "moved" else apply_fault(self.scene, fault)
+        compared = dict(self._textures)
+        if fault.object in compared and fault.name == "moved":
+            # A texture that is seen in two places says nothing.
+            del compared[fault.object]
+        elif fault.object in compared and compared[fault.object].is_textured:
+            frames = [self.scene.frame(o.frame) for o in self.base]
+            compared |= compare_textures(altered, frames, only=[fault.object])
+        return judge_scene(
+            altered,
+            observed,
+            {},
+            self._options,
+            up=self.up,
+            compared=compared,
+            only=[fault.object] if fault.object else None,
+        )
 
 
 def observe_with_fault(
@@ -185,16 +205,14 @@ def _open_with_fault(root: Path, fingerprint: str, fault: Fault) -> tuple[Faulty
 
 
 def _object_searches(
-    scene: Scene,
-    base: Sequence[FrameObservation],
-    object_ids: Sequence[int],
-    kinds: Sequence[FaultKind],
-    up: NDArray[np.float64],
-) -> list[_Search]:
+    trials: _Trials, object_ids: Sequence[int], kinds: Sequence[FaultKind]
+) -> list[Search]:
+    scene, (x, y, z) = trials.scene, trials.up
+    verdicts = {o.object: o.verdict for o in trials.plain.objects}
     searches = []
     for object_id in object_ids:
-        frames = [o.frame for o in base if object_id in o.objects]
-        positions = [T.t for i in frames if (T := scene.T_world_cam(i)) is not None]
+        seen = [o.frame for o in trials.base if object_id in o.objects]
+        positions = [T.t for i in seen if (T := scene.T_world_cam(i)) is not None]
         along = object_centre(scene, object_id) - np.mean(positions, axis=0)
         along /= max(float(np.linalg.norm(along)), 1e-9)
         for kind in kinds:
@@ -204,23 +222,24 @@ def _object_searches(
                 kind.name,
                 0.0,
                 object_id,
-                up=(float(up[0]), float(up[1]), float(up[2])),
+                up=(float(x), float(y), float(z)),
                 along=(float(along[0]), float(along[1]), float(along[2])),
             )
-            changed, note = frames, ""
-            if kind.name == "moved":
-                changed = frames[(len(frames) + 1) // 2 :]
-                note = "" if changed else "visible in one frame only"
+            frames, note = trials.frames_of(fault), ""
+            if not frames:
+                note = "visible in one frame only"
             if has_no_effect(scene, kind, fault):
                 note = "symmetric about this axis"
+            if verdicts[object_id] in REFUSED:
+                note = f"{verdicts[object_id]} without a fault"
             name = scene.objects.object(object_id).name
-            searches.append(_Search(kind, fault, name, changed, note))
+            searches.append(Search(kind, fault, name, frames, note))
     return searches
 
 
 def _scene_searches(
     base: Sequence[FrameObservation], camera_frame: int | None, kinds: Sequence[FaultKind]
-) -> list[_Search]:
+) -> list[Search]:
     searches = []
     for kind in (k for k in kinds if k.of_scene):
         note = "" if camera_frame is not None else "no object is visible"
@@ -229,32 +248,8 @@ def _scene_searches(
             frames = [o.frame for o in base if o.has_depth]
             note = "" if frames else "no sensor depth"
         fault = Fault(kind.name, 0.0, frame=camera_frame if kind.name == "camera" else None)
-        searches.append(_Search(kind, fault, "(scene)", frames, note))
+        searches.append(Search(kind, fault, "(scene)", frames, note))
     return searches
-
-
-def _judge(
-    scene: Scene,
-    fault: Fault,
-    base: Sequence[FrameObservation],
-    measured: Sequence[FrameObservation],
-    textures: Mapping[int, TextureFinding],
-    options: CheckOptions,
-    up: NDArray[np.float64],
-) -> CheckReport:
-    """The report with the measurements of a fault in place of those without it."""
-    again = {m.frame: m for m in measured}
-    observed = [_merged(o, again[o.frame], fault) if o.frame in again else o for o in base]
-    # The label of an object that moved is right in the other frames.
-    altered = scene if fault.name == "moved" else apply_fault(scene, fault)
-    compared = dict(textures)
-    if fault.object in compared and fault.name == "moved":
-        # A texture that is seen in two places says nothing.
-        del compared[fault.object]
-    elif fault.object in compared and compared[fault.object].is_textured:
-        frames = [scene.frame(o.frame) for o in base]
-        compared |= compare_textures(altered, frames, only=[fault.object])
-    return judge_scene(altered, observed, {}, options, up=up, compared=compared)
 
 
 def _merged(base: FrameObservation, again: FrameObservation, fault: Fault) -> FrameObservation:
@@ -268,70 +263,6 @@ def _merged(base: FrameObservation, again: FrameObservation, fault: Fault) -> Fr
         objects=dict(sorted((others | again.objects).items())),
         tallies=dict(sorted((tallies | again.tallies).items())),
     )
-
-
-def _compare(plain: CheckReport, report: CheckReport, fault: Fault) -> _Outcome:
-    failed = {g.key for g in plain.failed_gates()}
-    caught = [g.key for g in report.failed_gates() if g.key not in failed]
-    refused = {o.object for o in plain.objects if o.verdict in REFUSED}
-    new = {o.object for o in report.objects if o.verdict in REFUSED} - refused
-    if not caught and (new & {fault.object} if fault.object else new):
-        caught = ["verdict"]
-    return _Outcome(tuple(caught), {g.key: g for g in report.gates})
-
-
-def _row(search: _Search, plain: CheckReport) -> FaultRow:
-    without = _Outcome((), {g.key: g for g in plain.gates})
-    outcomes = {0.0: [without], **dict(sorted(search.outcomes.items()))}
-    keys = [
-        key
-        for key, gate in without.gates.items()
-        if gate.limit > 0
-        and any(
-            key in o.gates and o.gates[key].value != gate.value
-            for several in outcomes.values()
-            for o in several
-        )
-    ]
-    trials = [
-        FaultTrial(
-            size=size,
-            caught=bool(size) and all(o.caught_by for o in several),
-            gates=list(dict.fromkeys(k for o in several for k in o.caught_by)),
-            ratio=_ratio(several, keys),
-        )
-        for size, several in outcomes.items()
-    ]
-    caught = next((t for t in trials if t.caught), None)
-    missed = [t.size for t in trials if not t.caught]
-    return FaultRow(
-        object=search.fault.object or None,
-        name=search.name,
-        fault=search.kind.name,
-        unit=search.kind.unit,
-        caught_from=caught.size if caught else None,
-        missed_to=max(missed),
-        gates=caught.gates if caught else [],
-        note=search.note,
-        trials=[] if search.note else trials,
-    )
-
-
-def _ratio(outcomes: Sequence[_Outcome], keys: Sequence[str]) -> float | None:
-    """Largest value over limit among some gates, in the direction in which it is smaller."""
-    found = []
-    for outcome in outcomes:
-        ratios = []
-        for gate in (outcome.gates[k] for k in keys if k in outcome.gates):
-            if gate.value is None:
-                continue
-            if gate.rule == "at most":
-                ratios.append(gate.value / gate.limit)
-            else:
-                ratios.append(gate.limit / max(gate.value, 1e-9))
-        if ratios:
-            found.append(max(ratios))
-    return round(min(found), 4) if found else None
 
 
 def _camera_frame(base: Sequence[FrameObservation]) -> int | None:

@@ -1,4 +1,4 @@
-"""Table and figures of the smallest faults that the gates catch."""
+"""Table and figures of the smallest faults that the check catches."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _LARGEST_RATIO = 4.0
 def detectability_table(found: Detectability) -> Table:
     """Smallest fault caught, one row per object and one for the scene.
 
-    A cell reads "5 mm" if 5 mm is caught and the next smaller size tried is not, "> 50 mm" if no
-    size is caught, and has the gates behind it.
+    A cell reads "5 mm" if 5 mm is caught and the next smaller size tried is not, "5 to 30 mm" if a
+    larger size is missed, "> 50 mm" if no size is caught, and has the gates behind it.
     """
     kinds = [k for k in KINDS if any(r.fault == k.name for r in found.rows)]
     names = list(dict.fromkeys(r.name for r in found.rows))
@@ -32,7 +32,7 @@ def detectability_table(found: Detectability) -> Table:
         *(Column(heading=k.heading) for k in kinds),
     ]
     return Table(
-        title="Smallest fault that the gates catch",
+        title="Smallest fault that the check catches",
         columns=columns,
         rows=rows,
         notes=_notes(found),
@@ -43,8 +43,8 @@ def detectability_blocks(found: Detectability) -> list[page.Block]:
     """The section of the report."""
     blocks: list[page.Block] = [
         page.Paragraph(
-            "Known faults of growing size were put into the scene in memory, and the gates were "
-            "evaluated again. A smaller fault passes this check."
+            "Known faults of growing size were put into the scene in memory, and their object was "
+            "judged again by all evidence. A smaller fault passes this check."
         ),
         detectability_table(found),
         page.Terms({k.heading: k.title for k in KINDS}),
@@ -118,8 +118,9 @@ def _cell(row: FaultRow | None) -> Cell:
         return Cell(text=NONE, note=row.note, mark="none")
     if row.caught_from is None:
         return Cell(text=f"> {row.trials[-1].size:g} {row.unit}", note="not caught", mark="bad")
+    upto = "" if row.caught_to is None else f" to {row.caught_to:g}"
     return Cell(
-        text=f"{row.caught_from:g} {row.unit}",
+        text=f"{row.caught_from:g}{upto} {row.unit}",
         note=f"({', '.join(row.gates)})",
         value=row.caught_from,
     )
@@ -129,12 +130,19 @@ def _notes(found: Detectability) -> list[str]:
     notes = [
         f"Measured in {len(found.frames)} frames; sizes are those of a ladder, and each is caught "
         "in both directions."
+        + (f" Each smallest size was tried in {n} frames." if (n := found.confirmed_in) else "")
     ]
+    if any(row.caught_to is not None for row in found.rows):
+        notes.append(
+            "Not all larger faults than a second number are caught: so far off, a label may meet "
+            "nothing that speaks against it, and is unknown."
+        )
     if found.camera_frame is not None and any(r.fault == "camera" for r in found.rows):
         notes.append(f"Camera pose displaced: frame {found.camera_frame}.")
     if not found.passed:
         notes.append(
-            "A gate fails without a fault, too: only further gates and verdicts count as caught."
+            "The check fails without a fault, too: objects that do are left out, and of the "
+            "scene only further gates count."
         )
     if found.left_out:
         notes.append(f"Without faults: {', '.join(found.left_out)} (--inject-objects 0 takes all).")

@@ -25,11 +25,13 @@ class PageParts:
         view3d: figure JSON of the 3D view.
         sky: figure JSON of the view directions.
         pictures: images of each frame, in order.
+        shapes: figures of the objects that differ from their meshes.
     """
 
     view3d: str | None
     sky: str | None
     pictures: Sequence[overlay.FramePictures]
+    shapes: Sequence[page.Block] = ()
 
 
 _TEXT = Column(heading="", numeric=False)
@@ -57,6 +59,7 @@ def render_page(report: result.CheckReport, parts: PageParts) -> str:
             page.Section("gates", "Gates", [_gates(report)]),
             page.Section("warnings", "Warnings", [_warnings(report)]),
             page.Section("labels", "Labels", label_sections.label_blocks(report)),
+            page.Section("shape", "Shape and mesh", list(parts.shapes)),
             page.Section(
                 "inject",
                 "Smallest faults caught",

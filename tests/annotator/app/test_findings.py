@@ -19,10 +19,8 @@ from annotator.app.verdicts import object_verdict
 from annotator.session import AddObject, ChangeObject, Move, SetSymmetry
 from annotator.session.residuals import FrameResidual
 from std_toolkit.checks.measure.ranking import PoseRank
-from std_toolkit.geometry import SE3
 from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
 from std_toolkit.labels.texture.comparison import TextureComparison
-from std_toolkit.options import PropagateOptions
 
 TURNED = TextureComparison("turned", HALF_TURN, TURN, 0.1, 0.5, 8)
 FITS = TextureComparison("fits", HALF_TURN, TURN, 0.6, 0.1, 8)
@@ -178,24 +176,3 @@ def test_done_compares_what_was_never_compared(turned: Desk) -> None:
     turned.wait(lambda: bool(asked), at_most_s=240)
     assert asked[-1] is not None and TURN in asked[-1].text
     assert c.session.object("box_1").status == "open"
-
-
-@pytest.mark.slow
-def test_the_window_compares_as_the_check_does(turned: Desk) -> None:
-    from annotator.session.textures import compare_textures
-    from std_toolkit.checks.measure import textures
-    from std_toolkit.scene import Scene
-
-    root = turned.session.scene.root
-    here = compare_textures(turned.session.snapshot(), ["box_1"], 0)["box_1"]
-    turned.session.propagate(PropagateOptions())
-    scene = Scene.open(root)
-    there = textures.compare_textures(scene, scene.registered_frames())[1].comparison
-    assert (here.verdict, here.text, here.frames, here.telling) == (
-        there.verdict,
-        there.text,
-        there.frames,
-        there.telling,
-    )
-    assert here.score == pytest.approx(there.score, abs=1e-3)
-    assert isinstance(here.turn, SE3)

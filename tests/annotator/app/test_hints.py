@@ -15,8 +15,10 @@ from annotator.app.object_summary import next_hint
 from annotator.session import AddClick, AddObject, Click, SetPoses
 from annotator.session.edits import ChangeObject
 from annotator.session.residuals import FrameResidual
+from annotator.session.state import Judged
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.texture.comparison import TextureComparison
+from std_toolkit.scene.judgement import Judgement
 
 POSE = SE3.exp([0.01, 0.02, 0.6, 0.3, 0.2, 0.1])
 
@@ -86,6 +88,17 @@ def test_a_turn_that_scores_higher_is_named_with_what_decides(desk: Desk) -> Non
         "Another turn of box_1 scores higher: look at the label in frames 3 to 5; Y turns it, "
         "D keeps it."
     )
+
+
+def test_a_verdict_that_was_stored_comes_before_residuals(desk: Desk) -> None:
+    c = desk.controller
+    c.select("box_1")
+    c.apply(SetPoses.one("box_1", 0, POSE, method="refine", refinement="edges"))
+    judgement = Judgement(
+        grade="wrong", probability=0.0, reason="off", T_obj=POSE.flat(), inputs="", time=""
+    )
+    c.findings.keep_judgements({"box_1": Judged(judgement)})
+    assert next_hint(c) == "box_1 is not confirmed: check it in every view, or place it again."
 
 
 def test_each_frame_is_on_its_own_without_camera_poses(tmp_path: Path) -> None:

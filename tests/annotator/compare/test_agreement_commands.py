@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +17,10 @@ from annotator.cli import main
 from std_toolkit.geometry import SE3
 from std_toolkit.io.atomic import scene_lock
 from std_toolkit.io.images import read_color
+from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.scene import Scene
+from std_toolkit.scene.judgement import Judgement
+from std_toolkit.scene.label_verdicts import judgement_inputs
 
 Run = Callable[..., tuple[int, str]]
 Refuse = Callable[..., str]
@@ -85,6 +89,35 @@ def test_compare_of_equal_labels_succeeds(run: Run, tmp_path: Path) -> None:
     assert status == 0
     assert "to review" not in out
     assert out.splitlines()[-1].endswith("largest 0.0 mm; 0 above 5 mm")
+
+
+def test_compare_tells_what_the_judge_says_of_labels_that_agree(run: Run, tmp_path: Path) -> None:
+    """Two annotators may make the same mistake."""
+    scenes = [write_annotator(tmp_path / name) for name in ("a", "b")]
+    assert "judged" not in run("compare", *(x.root for x in scenes))[1]
+    for scene in scenes:
+        propagate_labels(scene)
+        inputs = judgement_inputs(scene)
+        label = next(
+            x for x in scene.labels.labels if scene.objects.object(x.object).name == "tile"
+        )
+        assert label.T_world_obj is not None
+        judgement = Judgement(
+            grade="wrong",
+            probability=0.0,
+            reason="turned by 180 deg about x fits the texture better",
+            T_obj=label.T_world_obj,
+            inputs=inputs[label.object],
+            time="2026-01-01T00:00:00Z",
+        )
+        judged = msgspec.structs.replace(label, judgement=judgement)
+        scene.save_labels(scene.labels.with_label(judged))
+    status, out = run("compare", *(x.root for x in scenes), "--csv", tmp_path / "table.csv")
+    assert status == 0
+    assert "A: tile: wrong (0 %): turned by 180 deg about x fits the texture better" in out
+    table = pd.read_csv(tmp_path / "table.csv").set_index("object")
+    assert list(table.loc["tile", ["judged_a", "judged_b"]]) == ["wrong", "wrong"]
+    assert table.loc["can", "judged_a"] == "unknown"
 
 
 def test_compare_with_another_threshold(run: Run, pair: tuple[Path, Path]) -> None:

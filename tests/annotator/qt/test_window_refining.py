@@ -82,14 +82,15 @@ def test_residuals_come_by_themselves_and_go_when_the_object_moves(bench: Bench)
     bench.qtbot.waitUntil(lambda: "box_1" in bench.controller.residuals, timeout=30_000)
     panel = bench.space.residuals
     assert panel.table.rowCount() == 4
-    # Nothing is called a fit before it has been compared with nearby poses.
     bench.qtbot.waitUntil(lambda: "box_1" in bench.controller.ranks, timeout=30_000)
-    # And nothing before its turns have been compared.
-    bench.qtbot.waitUntil(lambda: "box_1" in bench.controller.textures, timeout=60_000)
+    # Nothing is called a fit before it has been judged.
+    known = bench.controller.findings.judgements
+    bench.qtbot.waitUntil(lambda: "box_1" in known, timeout=60_000)
     rows = bench.space.objects.model.rows
     assert rows[0].badge.endswith("px")
     assert rows[0].grade == "fits"
-    assert panel.summary.text().startswith("It fits. Better than")
+    assert panel.summary.text().startswith("It fits: its contour confirms it to ±")
+    assert "etter than" in panel.summary.text()
     assert "is not determined: geometry cannot tell it" in panel.summary.text()
     bench.press(Qt.Key.Key_Right)
     assert "box_1" not in bench.controller.residuals

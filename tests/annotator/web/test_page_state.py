@@ -17,10 +17,12 @@ from annotator.app.dialogs import Dialogs
 from annotator.app.pose_text import PoseFields, RotationForm
 from annotator.app.questions import Question
 from annotator.session.residuals import FrameResidual
+from annotator.session.state import Judged
 from annotator.web.page import page_state
 from std_toolkit.checks.measure.ranking import PoseRank
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.texture.comparison import TextureComparison
+from std_toolkit.scene.judgement import Judgement
 
 
 @pytest.fixture
@@ -63,6 +65,10 @@ def test_the_page_names_a_rival_and_asks_before_done(desk: Desk) -> None:
     c.textures["box_1"] = TextureComparison(
         "undecided", SE3.identity(), "turned by 180 deg about z", 0.15, 0.27, 8
     )
+    unknown = Judgement(
+        grade="unknown", reason="measured", T_obj=SE3.identity().flat(), inputs="", time=""
+    )
+    c.findings.keep_judgements({"box_1": Judged(unknown)})
     told = "urned by 180 deg about z scores 0.27 against 0.15"
     assert told in page_state(c, PoseFields(c))["verdict"]
     BY_ID["done"].run(c)

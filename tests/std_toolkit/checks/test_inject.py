@@ -144,7 +144,7 @@ def test_the_command_prints_and_stores_the_table(
     arguments = ["check", str(scene.root), "--inject", "--inject-frames", "4", "--engine", "serial"]
     assert cli.main([*arguments, "--inject-objects", "1", "--overlay-frames", "0"]) == 0
     textured = capsys.readouterr().out
-    assert "Smallest fault that the gates catch" in textured
+    assert "Smallest fault that the check catches" in textured
     report = read_document(scene.root / "check" / "report.json", CheckReport)
     found = report.detectability
     assert found is not None and len(found.frames) == 4
