@@ -197,7 +197,9 @@ def _pair(color: Path, depth: Path, images: ImageOptions) -> FrameFiles:
             hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
         )
     size = image_size(color)
-    intrinsics = with_distortion(read_intrinsics(images.intrinsics, size=size), images.distortion)
+    intrinsics = with_distortion(
+        read_intrinsics(images.intrinsics, size=size, camera=images.camera), images.distortion
+    )
     return FrameFiles(
         safe_name(color.stem),
         color,

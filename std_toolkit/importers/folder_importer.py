@@ -112,7 +112,7 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
 def _camera(request: ImportRequest, size: tuple[int, int]) -> Camera:
     if request.intrinsics is not None:
         given = request.intrinsics
-        intrinsics = read_intrinsics(given, size=size)
+        intrinsics = read_intrinsics(given, size=size, camera=request.camera)
     else:
         given = str(request.known.cameras)
         intrinsics = _filed_intrinsics(given)
@@ -131,6 +131,8 @@ def _filed_intrinsics(path: str) -> Intrinsics:
             path=path,
             hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
         )
+    for note in lens.notes:
+        log.logger.info("%s", note)
     return lens
 
 

@@ -23,6 +23,8 @@ class ImageOptions:
     """factor applied to all depth, from a calibration"""
     intrinsics: str | None = None
     """intrinsics file, or fx,fy,cx,cy in pixels (default: those of the format)"""
+    camera: str | None = None
+    """camera of an intrinsics file with several, by its name in the file, such as cam0"""
     distortion: str | None = None
     """OpenCV coefficients k1,k2,p1,p2[,k3[,k4,k5,k6]] (default: those of the file)"""
     undistort_fov: Annotated[float, msgspec.Meta(ge=3, le=136)] | None = None

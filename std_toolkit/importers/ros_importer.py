@@ -6,7 +6,7 @@ written to files, JPEG and PNG as recorded; colour and depth are paired by their
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError, missing_extra
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.intrinsics import Intrinsics, listed_coefficients, model_of_file
+from std_toolkit.geometry.filed_cameras import camera_of_fields
+from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.intrinsics import read_intrinsics, told, with_distortion
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.ros_images import (
     COLOR_ENCODINGS,
@@ -244,7 +245,7 @@ def _camera(reader: Any, color: ImageTopic, request: ImportRequest) -> Camera:
     size = color.first.decoded_size(request.source)
     given = request.intrinsics
     if given is not None:
-        intrinsics = read_intrinsics(given, size=size)
+        intrinsics = read_intrinsics(given, size=size, camera=request.camera)
     else:
         intrinsics, given = _camera_info(reader, color, request.source)
     intrinsics = with_distortion(intrinsics, request.distortion)
@@ -270,31 +271,22 @@ def _camera_info(reader: Any, color: ImageTopic, source: Path) -> tuple[Intrinsi
 
 def _intrinsics_of(info: Any, color: ImageTopic, source: Path, topic: str) -> Intrinsics:
     k = np.asarray(getattr(info, "k", getattr(info, "K", None)), float).reshape(3, 3)
+    fields: dict[str, Any]
     d = [float(x) for x in getattr(info, "d", getattr(info, "D", ()))]
     if is_rectified := "rect" in color.base.rpartition("/")[2]:  # image_rect_color
         k = np.asarray(getattr(info, "p", getattr(info, "P", None)), float).reshape(3, 4)[:, :3]
         d = []
+    fields = {"K": k.ravel().tolist(), "width": int(info.width), "height": int(info.height)}
+    if not is_rectified:
+        fields |= {"distortion_model": str(info.distortion_model), "D": d}
+    if not (info.width and info.height):
+        del fields["width"], fields["height"]
     try:
-        stated = {} if is_rectified else {"distortion_model": info.distortion_model}
-        model = model_of_file(stated, has_coefficients=any(d))
+        found = camera_of_fields(fields, source, name=topic)
     except ToolkitError as error:
-        raise ToolkitError(
-            "a lens model that is not supported",
-            path=source,
-            field=topic,
-            value=info.distortion_model,
-            hint="record the rectified images (image_rect_color)",
-        ) from error
-    size = (int(info.width), int(info.height))
-    return Intrinsics(
-        float(k[0, 0]),
-        float(k[1, 1]),
-        float(k[0, 2]),
-        float(k[1, 2]),
-        () if model == "opencv" and not any(d) else listed_coefficients(d, model),
-        size if all(size) else None,
-        model,
-    )
+        hint = "record the rectified images (image_rect_color)"
+        raise error.revised(hint=hint if "model" in error.problem else error.hint) from error
+    return told(replace(found, name=""), topic)
 
 
 def _frames(

@@ -14,7 +14,7 @@ The convention of the file is applied by `known_cameras`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.geometry.intrinsics import Intrinsics, named_lens
+from std_toolkit.geometry.filed_cameras import camera_of_fields
+from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.foreign_files import read_npy
 from std_toolkit.log import logger
@@ -141,6 +142,7 @@ class _Rows:
     keys: list[str] = field(default_factory=list)
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
     lenses: list[Intrinsics | None] = field(default_factory=list)
+    lens_problem: ToolkitError | None = None
 
     def add(self, key: str, value: Any, at: str, lens: Intrinsics | None = None) -> None:
         self.keys.append(key)
@@ -159,6 +161,7 @@ class _Rows:
             matrices=np.array(self.matrices),
             keys=self.keys if named else None,
             lenses=self.lenses,
+            lens_problem=self.lens_problem,
             convention=convention,
             unit=unit,
             **fields,
@@ -227,38 +230,33 @@ def _read_transforms(path: Path, document: Mapping[str, Any]) -> FiledCameras:
     for i, row in enumerate(document["frames"]):
         if not isinstance(row, Mapping) or "transform_matrix" not in row:
             raise ToolkitError("a frame without transform_matrix", path=path, field=f"frames[{i}]")
-        lens = _transforms_lens(path, {**document, **row}, i)
+        lens = None
+        try:
+            lens = _transforms_lens(path, {**document, **row}, i)
+        except ToolkitError as error:  # of interest only where no other intrinsics are given
+            found.lens_problem = found.lens_problem or error
         found.add(str(row.get("file_path", "")), row["transform_matrix"], f"frames[{i}]", lens)
     return found.filed("transforms", convention="camera-to-world-opengl", unit_is_open=True)
 
 
+# Keys of transforms.json that speak of a lens.
+_LENS_KEYS = ("fl_x", "fx", "K", "k1", "camera_model", "is_fisheye")
+
+
 def _transforms_lens(path: Path, row: Mapping[str, Any], i: int) -> Intrinsics | None:
-    if "fl_x" not in row:
+    if not any(key in row for key in _LENS_KEYS):
         return None
-    try:
-        size = (int(row["w"]), int(row["h"])) if "w" in row and "h" in row else None
-        model, k = named_lens(row, float)
-        if model == "opencv" and k[4:] == (0.0,):
-            k = k[:4]
-        # The principal point starts at the corner of the first pixel.
-        return Intrinsics(
-            fx=float(row["fl_x"]),
-            fy=float(row.get("fl_y", row["fl_x"])),
-            cx=float(row["cx"]) - 0.5,
-            cy=float(row["cy"]) - 0.5,
-            distortion=k,
-            size=size,
-            model=model,
-        )
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=error.field, value=error.value, hint=error.hint
-        ) from error
-    except (TypeError, ValueError, KeyError) as error:
+    if not any(key in row for key in _LENS_KEYS[:3]):
         raise ToolkitError(
             "incomplete intrinsics: fl_x, fl_y, cx and cy are needed", path=path,
             field=f"frames[{i}]",
-        ) from error  # fmt: skip
+        )  # fmt: skip
+    fields = {k: v for k, v in row.items() if k not in ("frames", *_MATRIX_KEYS)}
+    camera = camera_of_fields(fields, path, name=f"frames[{i}]")
+    k = camera.intrinsics.distortion
+    if camera.intrinsics.model == "opencv" and k[4:] == (0.0,):
+        k = k[:4]
+    return replace(camera.intrinsics, distortion=k, notes=(f"{path}: {camera.lens}",))
 
 
 def _read_folder(folder: Path) -> FiledCameras:

@@ -55,6 +55,7 @@ class FiledCameras:
         keys: what names the image of each pose: file name, time stamp or number. None: the
             poses are in the order of the images.
         lenses: intrinsics of each pose where the file has them; may be empty.
+        lens_problem: why intrinsics that the file has cannot be used.
         convention: convention that the format fixes; None: the file does not state it.
         unit: unit that the format fixes.
         unit_is_open: such files are often in an arbitrary unit, so the user must name it.
@@ -66,6 +67,7 @@ class FiledCameras:
     matrices: Array
     keys: list[str] | None = None
     lenses: Sequence[Intrinsics | None] = ()
+    lens_problem: ToolkitError | None = None
     convention: str | None = None
     unit: str | None = None
     unit_is_open: bool = False
@@ -94,8 +96,10 @@ class FiledCameras:
         """Return the intrinsics that all poses share; None if the file has none.
 
         Raises:
-            ToolkitError: the intrinsics of the images differ.
+            ToolkitError: the intrinsics of the images differ, or cannot be used.
         """
+        if self.lens_problem is not None:
+            raise self.lens_problem
         lenses = [x for x in self.lenses if x is not None]
         if not lenses:
             return None

@@ -207,7 +207,7 @@ def test_what_cannot_be_used_is_named(fault: str, tmp_path: Path) -> None:
     words = {
         "unaligned": "align_depth",
         "no info": "camera_info of the colour camera.*--intrinsics",
-        "fisheye": "lens model",
+        "fisheye": "distortion_model.*image_rect_color",
         "no images": "no images.*camera_info",
         "short": "another size",
         "mono": "no topic with color images",
