@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,11 +21,13 @@ from std_toolkit.options import JobOptions
 
 if TYPE_CHECKING:
     from std_toolkit.scene.model import CameraPoses
+    from std_toolkit.scene.scene import Scene
 
 
 def import_scene(command: ImportCommand) -> int:
     """Make the scene and print its summary."""
     from std_toolkit.checks.summary import summarise
+    from std_toolkit.importers.depth_survey import with_unit_asked
     from std_toolkit.importers.foreign_files import is_ros_recording
     from std_toolkit.importers.import_step import import_recording
     from std_toolkit.scene.document import check_name, safe_name
@@ -39,13 +41,17 @@ def import_scene(command: ImportCommand) -> int:
     else:
         name = safe_name(command.out.resolve().name)
     request = ImportRequest(source=Path(source), name=name, **vars(command.options))
-    scene = import_recording(
-        request,
-        command.out,
-        format_name=command.format,
-        link=command.link,
-        options=asked(command.jobs),
-    )
+
+    def run(depth_scale: float | None) -> Scene:
+        return import_recording(
+            request if depth_scale is None else replace(request, depth_scale=depth_scale),
+            command.out,
+            format_name=command.format,
+            link=command.link,
+            options=asked(command.jobs),
+        )
+
+    scene = with_unit_asked(run)
     print("\n".join(summarise(scene).lines()))
     if command.options.known.cameras is None or scene.poses is None:
         return 0

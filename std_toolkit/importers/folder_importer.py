@@ -7,7 +7,8 @@ from pathlib import Path
 from std_toolkit import errors, log
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.intrinsics import Intrinsics
-from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, natural_key
+from std_toolkit.importers.depth_files import DEPTH_SUFFIXES
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
 from std_toolkit.importers.options import ImportRequest
@@ -57,10 +58,10 @@ class FolderImporter:
             depth = pair(color, depth, skip_unpaired=request.skip_unpaired)
             color = {k: p for k, p in color.items() if k in depth}
         size = _common_size(color)
-        camera = _camera(request, size)
+        camera, stated = _camera(request, size)
         names = frame_names(list(color))
         warn_about_gaps(list(color))
-        scale = request.depth_scale or DEFAULT_DEPTH_SCALE
+        scale = request.depth_scale or stated or DEFAULT_DEPTH_SCALE
         frames = tuple(
             SourceFrame(
                 id=i,
@@ -77,13 +78,14 @@ class FolderImporter:
             )
             for i, (key, path) in enumerate(color.items())
         )
-        has_units = any(p.suffix.lower() == ".png" for p in depth.values())
+        has_units = any(p.suffix.lower() != ".exr" for p in depth.values())
         return Recording(
             source="import:folder",
             cameras={"color": camera},
             frames=frames,
             depth_scale=scale if has_units else None,
             depth_correction=request.depth_correction,
+            unit_origin="guess" if stated is None else "file",
         )
 
 
@@ -109,7 +111,8 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
     return size
 
 
-def _camera(request: ImportRequest, size: tuple[int, int]) -> Camera:
+def _camera(request: ImportRequest, size: tuple[int, int]) -> tuple[Camera, float | None]:
+    """The camera, and the unit of depth that its file states."""
     if request.intrinsics is not None:
         given = request.intrinsics
         intrinsics = read_intrinsics(given, size=size, camera=request.camera)
@@ -117,7 +120,8 @@ def _camera(request: ImportRequest, size: tuple[int, int]) -> Camera:
         given = str(request.known.cameras)
         intrinsics = _filed_intrinsics(given)
     intrinsics = with_distortion(intrinsics, request.distortion)
-    return intrinsics.camera(size, path=given, off_centre=request.off_centre)
+    camera = intrinsics.camera(size, path=given, off_centre=request.off_centre)
+    return camera, intrinsics.depth_scale
 
 
 def _filed_intrinsics(path: str) -> Intrinsics:

@@ -3,7 +3,7 @@
 import errno
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, Undistortion
 from std_toolkit.importers import foreign_files, importer
+from std_toolkit.importers.depth_files import Missing, read_foreign_depth
 from std_toolkit.io import exr, images
 from std_toolkit.options import LinkMode
 from std_toolkit.scene import Frame
@@ -35,6 +36,7 @@ def write_frame(
     undistortions: dict[str, Undistortion],
     depth_scale: float | None,
     link: LinkMode,
+    missing: Missing | None = None,
 ) -> WrittenFrame:
     """Check the images of a frame and write them into the scene.
 
@@ -45,6 +47,7 @@ def write_frame(
         undistortions: by camera id, of those whose images are undistorted.
         depth_scale: metres per unit of the scene's 16-bit depth.
         link: "copy" images, or "hard"- or "sym"-link those that need no conversion.
+        missing: which numbers of the depth are no measurement.
 
     Raises:
         ToolkitError: an image is damaged, has another size, or depth has no unit.
@@ -55,7 +58,7 @@ def write_frame(
     depth = None
     median: float | None = None
     if frame.depth is not None:
-        depth, median = _write_depth(frame.depth, root, size, depth_scale, link, lens)
+        depth, median = _write_depth(frame.depth, root, size, depth_scale, link, lens, missing)
     for extra in frame.reference:
         _write_reference(extra, root, size, link)
     row = Frame(
@@ -99,10 +102,13 @@ def _write_depth(
     scene_scale: float | None,
     link: LinkMode,
     lens: Undistortion | None = None,
+    missing: Missing | None = None,
 ) -> tuple[str, float | None]:
-    depth = foreign_files.read_foreign_depth(file.source, size=size)
+    if missing is not None:  # files of one recording may have several units
+        missing = replace(missing, unit=file.depth_scale)
+    depth = read_foreign_depth(file.source, size=size, missing=missing, two_bytes=file.two_bytes)
     values: Any = depth.values if lens is None else lens.depth(depth.values)
-    unit = 1.0
+    unit = 1.0 if missing is None else missing.float_unit
     if values.dtype == np.uint16:
         if file.depth_scale is None:
             raise ToolkitError(
@@ -133,7 +139,7 @@ def _write_reference(
         _write_color(file, root, size, link)
     elif file.kind == "depth":
         own = size if file.same_size else images.image_size(file.source)
-        depth = foreign_files.read_foreign_depth(file.source, size=own)
+        depth = read_foreign_depth(file.source, size=own)
         metres = depth.values
         if metres.dtype == np.uint16:
             metres = metres.astype(np.float32) * np.float32(file.depth_scale or 0.001)

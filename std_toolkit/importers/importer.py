@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit import errors, plugins
+from std_toolkit.importers.depth_survey import UnitOrigin
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.scene.model import CameraPoses, Labels, Model, Object
 
@@ -36,6 +37,7 @@ class SourceFile:
         same_size: whether the file must have the camera's size.
         binary: whether every nonzero value of a mask becomes id 1.
         resize: whether a colour image is resized to the camera's size by area averaging.
+        two_bytes: whether a depth PNG may have its high and low bytes in green and red.
     """
 
     source: Path
@@ -46,6 +48,7 @@ class SourceFile:
     same_size: bool = True
     binary: bool = False
     resize: bool = False
+    two_bytes: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +92,8 @@ class Recording:
         cameras: of the images as recorded; those of lenses that a scene does not keep are
             undistorted by the writer.
         depth_scale: metres per unit of 16-bit depth in the scene; None if all depth is EXR.
+        unit_origin: who states the unit of depth.
+        depth_name: what the depth images are called in messages; their folder if empty.
     """
 
     source: str
@@ -96,6 +101,8 @@ class Recording:
     frames: tuple[SourceFrame, ...]
     depth_scale: float | None = None
     depth_correction: float = 1.0
+    unit_origin: UnitOrigin = "format"
+    depth_name: str = ""
     models: tuple[SourceModel, ...] = ()
     objects: tuple[Object, ...] = ()
     poses: CameraPoses | None = None

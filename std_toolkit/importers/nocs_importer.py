@@ -99,6 +99,7 @@ def _frame(folder: Path, stem: str, index: int) -> importer.SourceFrame:
             target=f"depth/{stem}",
             kind="depth",
             depth_scale=DEPTH_SCALE,
+            two_bytes=True,
         ),
         reference=sidecar_recording.reference_files(stem, _maps(folder, stem)),
     )

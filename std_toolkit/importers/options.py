@@ -18,7 +18,11 @@ class ImageOptions:
     depth: str | None = None
     """folder or quoted glob pattern of the depth images, aligned to colour, or their topic"""
     depth_scale: float | None = None
-    """metres per unit of 16-bit depth (default: that of the format; 0.001 for separate images)"""
+    """metres per number of the depth images (default: that of the format or of the intrinsics
+    file; for separate images 0.001 of 16-bit ones, 1 of EXR)"""
+    missing: str | None = None
+    """number in the depth images that means no measurement, beside 0, NaN, infinity and those that
+    are recognised; several with commas"""
     depth_correction: float = 1.0
     """factor applied to all depth, from a calibration"""
     intrinsics: str | None = None

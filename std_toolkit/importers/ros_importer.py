@@ -110,6 +110,7 @@ class RosImporter:
             frames=tuple(frames),
             depth_scale=scale if units else None,
             depth_correction=request.depth_correction,
+            depth_name="" if depth is None else f"{request.source}: {depth.name}",
         )
 
 
