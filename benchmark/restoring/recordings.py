@@ -82,6 +82,15 @@ class FrameFiles:
             depth = self.undistortion.depth(depth)  # type: ignore[assignment]
         return color, depth * np.float32(unit)
 
+    @property
+    def unit(self) -> float:
+        """Metres per number in a 16-bit depth image."""
+        return (self.scale or 1.0) * self.correction
+
+    @property
+    def is_png(self) -> bool:
+        return self.depth.suffix.lower() == ".png"
+
 
 @dataclass(frozen=True)
 class RecordingFiles:

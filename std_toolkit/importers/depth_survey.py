@@ -274,25 +274,33 @@ def _checked_median(
     farthest = limits.guessed_m if origin == "guess" else limits.farthest_m
     if limits.nearest_m <= median <= farthest:
         return median
-    if origin == "flag":
-        if not inside.size:
-            raise ToolkitError(
-                "no depth image has a measurement nearer than "
-                f"{DepthFileSettings.current().farthest_m:g} m",
-                path=where, field="--depth-scale", value=missing.unit or missing.float_unit,
-            )  # fmt: skip
-        return median
     is_float = all(v.dtype.kind == "f" for _, v in chosen)
     unit = missing.float_unit if is_float else (missing.unit or 1.0)
+    if origin == "flag" and inside.size:
+        return median
+    if origin == "flag":
+        fitting = " or ".join(f"{s:g}" for s in _fitting(median, unit))
+        raise ToolkitError(
+            "no depth image has a measurement nearer than "
+            f"{DepthFileSettings.current().farthest_m:g} m",
+            path=where,
+            field="--depth-scale",
+            value=unit,
+            hint=f"{fitting} would fit" if fitting else None,
+        )
     raise unit_error(median, unit, where, guessed=origin == "guess", is_float=is_float)
+
+
+def _fitting(median_m: float, unit: float) -> list[float]:
+    """Other units that give a plausible median."""
+    return [s for s in _UNITS if 0.15 <= median_m / unit * s <= 4 and s != unit]
 
 
 def unit_error(
     median_m: float, unit: float, where: Path | str, *, guessed: bool, is_float: bool
 ) -> ToolkitError:
     """The error of an implausible unit, with those that fit."""
-    fitting = [s for s in _UNITS if 0.15 <= median_m / unit * s <= 4 and s != unit]
-    named = " or ".join(f"{s:g}" for s in fitting)
+    named = " or ".join(f"{s:g}" for s in _fitting(median_m, unit))
     if is_float:
         hint = "the images seem not to be in metres"
     else:
