@@ -15,6 +15,7 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import check_mesh_size, mesh_diameter, mesh_extents
+from std_toolkit.geometry.mesh_proof import check_copy
 from std_toolkit.importers.depth_files import check_aligned
 from std_toolkit.io import atomic, exr, images
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, Model, SymmetryModel
@@ -57,11 +58,12 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     """Write a mesh in metres; the suffix (.ply or .glb) selects the format.
 
     Raises:
-        ToolkitError: its size is implausible in metres.
+        ToolkitError: its size is implausible in metres, or what was written is not the mesh.
     """
     check_mesh_size(mesh, path=path)
     data = mesh.export(file_type=path.suffix.lower().lstrip("."))
     assert isinstance(data, bytes)  # both formats are binary
+    check_copy({path.name: data}, mesh, path)
     atomic.write_bytes_atomic(path, data)
 
 

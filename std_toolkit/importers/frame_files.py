@@ -1,6 +1,7 @@
 """Files of one imported frame: checked, converted where needed, else copied or linked."""
 
 import errno
+import filecmp
 import os
 import shutil
 from dataclasses import dataclass, replace
@@ -171,5 +172,7 @@ def _place(source: Path, target: Path, link: LinkMode) -> None:
         target.symlink_to(source)
     else:
         shutil.copyfile(source, target)
+        if not filecmp.cmp(source, target, shallow=False):
+            raise ToolkitError("the copy differs from its source", path=source, hint="disk full?")
         with target.open("rb") as file:
             os.fsync(file.fileno())
