@@ -151,6 +151,8 @@ def detect_format(source: Path) -> str:
     if not source.exists():
         raise errors.ToolkitError("no such file or folder", path=source)
     found = [name for name in IMPORTERS if IMPORTERS.get(name).recognises(source)]
+    if len(found) > 1 and "folder" in found:  # other formats, too, have folders of images
+        found.remove("folder")
     if len(found) == 1:
         return found[0]
     raise errors.ToolkitError(

@@ -7,7 +7,7 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.filed_cameras import FiledCamera, chosen_camera, filed_cameras
 from std_toolkit.geometry.intrinsics import Intrinsics
-from std_toolkit.importers.camera_documents import read_camera_document
+from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.log import logger
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
