@@ -41,6 +41,8 @@ from std_toolkit.scene.model import Gate, ScaleReport
 from std_toolkit.settings import Settings, limit
 
 # All pairs of so few images are matched; of more, neighbours and similar ones.
+# A vocabulary of descriptors needs some.
+_FEWEST_UNCHECKED = 16
 _ALL_PAIRS = 24
 # Deviation of given positions in a refinement, over the distance that a reprojection error of the
 # median, and at least of a feature's own error, stands for.
@@ -241,10 +243,12 @@ def _extract(
 
 
 def _describe(loaded: dict[int, Any], options: PoseOptions) -> tuple[Any, dict[int, Any]]:
-    if sum(len(x.descriptors) for x in loaded.values()) < 100:
+    count = sum(len(x.descriptors) for x in loaded.values())
+    if count < _FEWEST_UNCHECKED or (count < 100 and not options.known.cameras_unchecked):
         raise errors.ToolkitError(
             "the images have almost no features, so the poses cannot be checked",
-            hint="put textured objects into view (a printed cloth is enough), focus, add light",
+            hint="put textured objects into view (a printed cloth is enough), focus, add light; or "
+            "keep the poses with --cameras-unchecked",
         )
     vocabulary = features.train_vocabulary(
         [x.descriptors for x in loaded.values()], seed=options.seed
