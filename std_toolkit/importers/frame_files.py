@@ -16,6 +16,7 @@ from std_toolkit.geometry.camera import Camera, Undistortion
 from std_toolkit.importers import foreign_files, importer
 from std_toolkit.importers.depth_files import Missing, read_foreign_depth
 from std_toolkit.io import exr, images
+from std_toolkit.io.tiff import TIFF_SUFFIXES, read_tiff, tiff_size
 from std_toolkit.options import LinkMode
 from std_toolkit.scene import Frame
 
@@ -80,9 +81,15 @@ def _write_color(
     link: LinkMode,
     lens: Undistortion | None = None,
 ) -> str:
-    if file.resize or lens is not None:
+    is_tiff = file.source.suffix.lower() in TIFF_SUFFIXES
+    if file.resize or lens is not None or is_tiff:
         target = file.target + ".png"
-        image: Any = images.read_color(file.source, size=None if file.resize else size)
+        wanted = None if file.resize else size
+        image: Any = (
+            _grey_tiff(file.source, wanted)
+            if is_tiff
+            else images.read_color(file.source, size=wanted)
+        )
         if file.resize:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         if lens is not None:
@@ -94,6 +101,28 @@ def _write_color(
     target = file.target + file.source.suffix.lower()
     _place(file.source, root / target, link)
     return target
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """(width, height) of a PNG, JPEG, EXR or TIFF from its header.
+
+    Raises:
+        ToolkitError: it is none of them, or damaged.
+    """
+    return tiff_size(path) if path.suffix.lower() in TIFF_SUFFIXES else images.image_size(path)
+
+
+def _grey_tiff(path: Path, size: tuple[int, int] | None) -> Any:
+    """(H, W, 3) of a TIFF of 8 bits, in which BOP's data set ITODD has its grey images."""
+    grey = read_tiff(path)
+    if grey.dtype != np.uint8:
+        raise ToolkitError("colour must be 8-bit", path=path, value=str(grey.dtype))
+    if size is not None and (grey.shape[1], grey.shape[0]) != size:
+        raise ToolkitError(
+            f"image size differs from that of the camera, {size[0]}x{size[1]}", path=path,
+            value=f"{grey.shape[1]}x{grey.shape[0]}",
+        )  # fmt: skip
+    return np.repeat(grey[..., None], 3, axis=2)
 
 
 def _write_depth(
