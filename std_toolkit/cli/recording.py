@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from std_toolkit.cli.command import print_json
 from std_toolkit.commands import (
+    DoctorCommand,
     ImportCommand,
     InfoCommand,
     PosesCommand,
@@ -59,6 +60,22 @@ def import_scene(command: ImportCommand) -> int:
 
     print("\n".join(pose_lines(scene.poses, [f.name for f in scene.frames])))
     return report_failed_gates(scene.poses)
+
+
+def doctor(command: DoctorCommand) -> int:
+    """Print what an import would find; 1 if it would stop."""
+    from std_toolkit.importers.doctor import examine
+
+    source = command.source or command.options.color
+    if source is None:
+        raise ToolkitError("give a folder or file, or --color", hint="see doctor --help")
+    request = ImportRequest(source=Path(source), name="doctor", **vars(command.options))
+    report = examine(request, format_name=command.format)
+    if command.json:
+        print_json([{"kind": kind, "text": text} for kind, text in report.rows])
+    else:
+        print("\n".join(report.lines()))
+    return 1 if report.is_refused else 0
 
 
 def asked(jobs: JobOptions) -> JobOptions | None:

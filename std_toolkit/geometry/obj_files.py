@@ -16,11 +16,12 @@ from pathlib import Path
 from PIL import Image
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.image_header import check_plausible_size
 from std_toolkit.log import logger
 
 _LARGEST_MATERIAL_BYTES = 16 * 1024 * 1024
 _LARGEST_TEXTURE_BYTES = 512 * 1024 * 1024
+# As of images of cameras, `io.image_header`.
+_LARGEST_PIXEL_COUNT = 64_000_000
 _MARK = b"\xef\xbb\xbf"
 _MTLLIB = re.compile(rb"^mtllib[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
 _USEMTL = re.compile(rb"^usemtl(?:[ \t]+(.*?))?[ \t]*\r?$", re.MULTILINE)
@@ -226,7 +227,10 @@ def _texture(path: Path) -> tuple[str, bytes]:
     data = path.read_bytes()
     try:
         with Image.open(io.BytesIO(data), formats=[*_STORED, *_CONVERTED]) as image:
-            check_plausible_size(path, *image.size)
+            if image.width * image.height > _LARGEST_PIXEL_COUNT:
+                raise ToolkitError(
+                    "the image has an implausible size", path=path, value=list(image.size)
+                )
             kind = str(image.format)
             if kind not in _STORED:
                 out = io.BytesIO()

@@ -120,7 +120,10 @@ def _in_layout(request: ImportRequest, layout: Layout) -> ImportRequest:
     if given is None and layout.intrinsics is not None:
         given = str(layout.intrinsics)
     if layout.poses is not None and request.known.cameras is None:
-        log.logger.info("camera poses are here, not read: --cameras %s", layout.poses)
+        log.logger.info(
+            "camera poses are here, not read: --cameras %s", layout.poses,
+            extra={"doctor": "ignored"},
+        )  # fmt: skip
     if layout.kind in ("7scenes", "scannet"):
         log.logger.warning(
             "the depth of %s is that of another camera than the colour, a few pixels off",

@@ -11,7 +11,6 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Undistortion
 from std_toolkit.importers import foreign_files, importer
 from std_toolkit.importers.depth_survey import DepthFile, DepthSurvey, given_marks, survey_depth
-from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.frame_files import WrittenFrame, write_frame
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io import atomic
@@ -263,8 +262,7 @@ def import_recording(
             hint="give a calibrated factor such as 0.98; --depth-scale sets the unit",
         )
     if format_name is None:
-        separate = request.color is not None and not is_ros_recording(request.source)
-        format_name = "folder" if separate else importer.detect_format(request.source)
+        format_name = importer.format_of(request)
     with ExitStack() as stack:
         if format_name == "ros":
             workspace = stack.enter_context(atomic.temporary_folder(out))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit import errors, plugins
 from std_toolkit.importers.depth_survey import UnitOrigin
+from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.scene.model import CameraPoses, Labels, Model, Object
 
@@ -140,6 +141,17 @@ IMPORTERS: plugins.Registry[Importer] = plugins.Registry(
         "cleargrasp": "std_toolkit.importers.cleargrasp_importer:CLEARGRASP",
     },
 )
+
+
+def format_of(request: ImportRequest) -> str:
+    """The importer of a request without --format: "folder" for separate images.
+
+    Raises:
+        ToolkitError: as `detect_format`.
+    """
+    if request.color is not None and not is_ros_recording(request.source):
+        return "folder"
+    return detect_format(request.source)
 
 
 def detect_format(source: Path) -> str:

@@ -51,7 +51,10 @@ def paired(
         joined = way()
         if joined:
             left = len(color) + len(depth) - 2 * len(joined)
-            log.logger.info("colour and depth are paired by %s; %d left out", words, left)
+            log.logger.info(
+                "colour and depth are paired by %s; %d left out", words, left,
+                extra={"doctor": "guessed"},
+            )  # fmt: skip
             return _joined(color, depth, joined, stamps)
     found = pair(color, depth, skip_unpaired=skip_unpaired)
     return _joined(color, depth, {k: k for k in found}, stamps)

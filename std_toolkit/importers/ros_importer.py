@@ -107,7 +107,7 @@ class RosImporter:
         with_depth = "" if depth is None else f", depth of {depth.name}"
         logger.info("colour of %s%s", color.name, with_depth)
         for line in _not_taken(topics, color, depth):
-            logger.info("%s", line)
+            logger.info("%s", line, extra={"doctor": "ignored"})
         if unpaired:
             logger.warning("%d images without a partner of the same time are left out", unpaired)
         return Recording(

@@ -41,8 +41,6 @@ from std_toolkit.scene.model import Gate, ScaleReport
 from std_toolkit.settings import Settings, limit
 
 # All pairs of so few images are matched; of more, neighbours and similar ones.
-# A vocabulary of descriptors needs some.
-_FEWEST_UNCHECKED = 16
 _ALL_PAIRS = 24
 # Deviation of given positions in a refinement, over the distance that a reprojection error of the
 # median, and at least of a feature's own error, stands for.
@@ -60,6 +58,8 @@ class KnownPosesSettings(Settings):
     )
     """range of the factor between sensor depth and known camera poses; beyond it the unit is
     wrong"""
+    fewest_features: int = limit(16, source="a vocabulary has a word for eight descriptors")
+    """features of all keyframes without which not even unchecked poses are kept"""
 
 
 def reconstruct_known(
@@ -244,7 +244,7 @@ def _extract(
 
 def _describe(loaded: dict[int, Any], options: PoseOptions) -> tuple[Any, dict[int, Any]]:
     count = sum(len(x.descriptors) for x in loaded.values())
-    if count < _FEWEST_UNCHECKED or (count < 100 and not options.known.cameras_unchecked):
+    if count < KnownPosesSettings.current().fewest_features or (count < 100 and not options.known.cameras_unchecked):
         raise errors.ToolkitError(
             "the images have almost no features, so the poses cannot be checked",
             hint="put textured objects into view (a printed cloth is enough), focus, add light; or "

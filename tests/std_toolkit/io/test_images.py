@@ -339,7 +339,7 @@ def test_no_truncation_passes(tmp_path: Path, source: bytes, cut: float, extra: 
         read_color(path)
 
 
-@pytest.mark.parametrize("stray", [b"\x00" * 4, b"\x00" * 40, b"\x01\x02\x03"])
+@pytest.mark.parametrize("stray", [b"\x00" * 4, b"\x00" * 40])
 def test_bytes_before_the_end_of_a_jpeg_are_a_warning(
     stray: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
