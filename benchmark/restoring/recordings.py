@@ -354,8 +354,7 @@ def _surveyed(recording: RecordingFiles, images: ImageOptions) -> RecordingFiles
             marks=given_marks(images.missing),
             correction=frames[0].correction,
         )
-        for line in survey.lines():
-            logger.info("%s: %s", recording.source, line)
+        survey.log(recording.source)
         return replace(recording, frames=tuple(replace(f, missing=survey.missing) for f in frames))
 
     return with_unit_asked(looked)

@@ -259,7 +259,8 @@ def _renamed_kannala(
 
 def _of_matrix(values: list[float], field: str) -> Intrinsics:
     if len(values) == 4:
-        return Intrinsics(*values)
+        fx, fy, cx, cy = values
+        return Intrinsics(fx, fy, cx, cy)
     width = {9: 3, 12: 4, 16: 4}.get(len(values))
     if width is None:
         raise ToolkitError("K needs 9 numbers (3x3)", field=field, value=len(values))

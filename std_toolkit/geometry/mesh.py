@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +131,7 @@ def parse_mesh(source: Path | ObjFiles, *, data: bytes | None = None, kind: str 
         loaded = trimesh.load(io.BytesIO(data), file_type=kind, **options)
     elif isinstance(source, ObjFiles):
         text = io.BytesIO(source.data)
-        loaded = trimesh.load(text, file_type="obj", resolver=source, **options)
+        loaded = trimesh.load(text, file_type="obj", resolver=cast("Any", source), **options)
     else:
         loaded = trimesh.load(source, **options)
     return loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded

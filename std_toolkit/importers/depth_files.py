@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ class Missing:
     unit: float | None = None
     float_unit: float = 1.0
 
-    def unit_of(self, values: NDArray[np.generic]) -> float | None:
+    def unit_of(self, values: NDArray[Any]) -> float | None:
         """Metres per number of an image."""
         return self.unit if values.dtype.kind == "u" else self.float_unit
 
@@ -86,7 +87,7 @@ class ForeignDepth:
         marks: numbers that meant "no measurement" -> pixels.
     """
 
-    values: NDArray[np.generic]
+    values: NDArray[Any]
     converted: bool
     marks: Mapping[float, int]
 
@@ -140,7 +141,7 @@ def read_foreign_depth(
 
 def read_stored_depth(
     path: Path, *, size: tuple[int, int], two_bytes: bool = False
-) -> NDArray[np.generic]:
+) -> NDArray[Any]:
     """The numbers (H, W) of a depth image as stored: uint16, float16 or float32.
 
     Raises:
@@ -163,7 +164,8 @@ def read_stored_depth(
     raw = images.read_png(path)
     check_aligned(path, (raw.shape[1], raw.shape[0]), size)
     if two_bytes and raw.dtype == np.uint8 and raw.ndim == 3:
-        wide = raw[..., 1].astype(np.uint16) * 256 + raw[..., 0]
+        high, low = (raw[..., i].astype(np.uint16) for i in (1, 0))
+        wide = high * 256 + low
         return np.where(wide == _NOCS_EMPTY, np.uint16(0), wide)
     if raw.dtype != np.uint16 or raw.ndim != 2:
         raise ToolkitError(
@@ -189,7 +191,7 @@ def check_aligned(path: Path, actual: tuple[int, int], size: tuple[int, int]) ->
         )
 
 
-def frame_marks(values: NDArray[np.generic], unit: float | None) -> list[float]:
+def frame_marks(values: NDArray[Any], unit: float | None) -> list[float]:
     """Numbers of an image that stand alone at its ends and mean "no measurement".
 
     A flat surface at a plausible distance is a measurement, also where all its pixels are equal.
@@ -201,7 +203,8 @@ def frame_marks(values: NDArray[np.generic], unit: float | None) -> list[float]:
     if unit is None or not values.size:
         return []
     limits = DepthFileSettings.current()
-    total, found = values.size, []
+    total = values.size
+    found: list[float] = []
     for _ in range(_ROUNDS):
         if not values.size:
             return found
@@ -224,7 +227,7 @@ def frame_marks(values: NDArray[np.generic], unit: float | None) -> list[float]:
 
 
 def _is_far_mark(
-    top: np.generic, count: int, total: int, below: NDArray[np.generic], unit: float,
+    top: Any, count: int, total: int, below: NDArray[Any], unit: float,
     limits: DepthFileSettings,
 ) -> bool:  # fmt: skip
     if count <= limits.mark_share * total:
@@ -240,7 +243,7 @@ def _is_far_mark(
     return count > limits.saturation * max(near, 1.0)
 
 
-def lone_values(values: NDArray[np.generic], unit: float) -> list[float]:
+def lone_values(values: NDArray[Any], unit: float) -> list[float]:
     """Numbers that stand alone at the far end and are no certain marks: the user may know."""
     limits = DepthFileSettings.current()
     if not values.size:
@@ -267,7 +270,7 @@ def _exr_depth(path: Path, size: tuple[int, int]) -> NDArray[np.floating]:
         )
     if chosen.dtype not in (np.float16, np.float32):
         raise ToolkitError("depth in an EXR must be float", path=path, value=str(chosen.dtype))
-    return chosen  # type: ignore[return-value]
+    return chosen
 
 
 def _depth_channel(path: Path, names: Sequence[str]) -> str:
@@ -303,11 +306,11 @@ def _is_multipart(path: Path) -> bool:
     return head[:4] == b"\x76\x2f\x31\x01" and bool(int.from_bytes(head[4:8], "little") & 0x1000)
 
 
-def _parts(path: Path, size: tuple[int, int]) -> dict[str, NDArray[np.generic]]:
+def _parts(path: Path, size: tuple[int, int]) -> dict[str, NDArray[Any]]:
     """Channels of all parts of the image's size; the name of the part comes first."""
     import OpenEXR
 
-    found: dict[str, NDArray[np.generic]] = {}
+    found: dict[str, NDArray[Any]] = {}
     try:
         with OpenEXR.File(str(path), header_only=True) as head:
             sizes = []

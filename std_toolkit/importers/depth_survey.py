@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from std_toolkit.importers.depth_files import (
     lone_values,
     read_stored_depth,
 )
+from std_toolkit.log import logger
 from std_toolkit.settings import Settings, limit
 
 UnitOrigin = Literal["flag", "file", "format", "guess"]
@@ -94,12 +95,23 @@ class DepthSurvey:
             f"depth: {value:.6g} means no measurement ({share:.1%} of the pixels)"
             for value, share in self.marks.items()
         ]
-        lines += [
+        return [*lines, *self.notes]
+
+    def doubts(self) -> list[str]:
+        """What only the user can decide, in sentences."""
+        return [
             f"depth: {value:.6g} stands alone at the far end; if it means no measurement, give "
             f"--missing {value:.6g}"
             for value in self.lone
         ]
-        return [*lines, *self.notes]
+
+    def log(self, source: str = "") -> None:
+        """Log both."""
+        start = f"{source}: " if source else ""
+        for line in self.lines():
+            logger.info("%s%s", start, line)
+        for line in self.doubts():
+            logger.warning("%s%s", start, line)
 
 
 @dataclass(frozen=True)
@@ -190,14 +202,14 @@ def survey_depth(
     )
 
 
-def _stored(file: DepthFile) -> NDArray[np.generic] | None:
+def _stored(file: DepthFile) -> NDArray[Any] | None:
     try:
         return read_stored_depth(file.path, size=file.size, two_bytes=file.two_bytes)
     except ToolkitError:
         return None  # reported with its frame
 
 
-def _positive(values: NDArray[np.generic], marks: tuple[float, ...]) -> NDArray[np.generic]:
+def _positive(values: NDArray[Any], marks: tuple[float, ...]) -> NDArray[Any]:
     valid = np.isfinite(values) & (values > 0)
     for mark in marks:
         valid &= values != mark
@@ -207,7 +219,7 @@ def _positive(values: NDArray[np.generic], marks: tuple[float, ...]) -> NDArray[
 
 
 def _float_unit(
-    floats: Sequence[NDArray[np.generic]], stated: float | None
+    floats: Sequence[NDArray[Any]], stated: float | None
 ) -> tuple[float, tuple[str, ...]]:
     """Metres per number of floating-point images: --depth-scale, unless they are in metres."""
     if stated is None or stated == 1 or not any(f.size for f in floats):
@@ -223,9 +235,7 @@ def _float_unit(
     return stated, ()
 
 
-def _marks(
-    chosen: Sequence[tuple[DepthFile, NDArray[np.generic]]], missing: Missing
-) -> list[float]:
+def _marks(chosen: Sequence[tuple[DepthFile, NDArray[Any]]], missing: Missing) -> list[float]:
     found: list[float] = []
     for _, values in chosen:
         for mark in frame_marks(_positive(values, missing.values), missing.unit_of(values)):
@@ -235,10 +245,12 @@ def _marks(
 
 
 def _measure(
-    chosen: Sequence[tuple[DepthFile, NDArray[np.generic]]], missing: Missing
+    chosen: Sequence[tuple[DepthFile, NDArray[Any]]], missing: Missing
 ) -> tuple[NDArray[np.float64], set[float], dict[float, float], float]:
     """Metres of some pixels, numbers that may be marks, shares of marks, and of measurements."""
-    parts, lone, counts, beyond = [], set(), dict.fromkeys(missing.values, 0), {}
+    parts: list[NDArray[np.float64]] = []
+    lone: set[float] = set()
+    counts, beyond = dict.fromkeys(missing.values, 0), dict[float, int]()
     farthest = DepthFileSettings.current().farthest_m
     total = kept = 0
     for _, values in chosen:
@@ -264,7 +276,7 @@ def _checked_median(
     metres: NDArray[np.float64],
     missing: Missing,
     origin: UnitOrigin,
-    chosen: Sequence[tuple[DepthFile, NDArray[np.generic]]],
+    chosen: Sequence[tuple[DepthFile, NDArray[Any]]],
     where: Path | str,
 ) -> float:
     limits = DepthSurveySettings.current()

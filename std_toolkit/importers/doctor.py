@@ -90,7 +90,7 @@ def _listening(report: Report) -> Iterator[None]:
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            usual = "ignored" if record.levelno >= logging.WARNING else "read"
+            usual: Kind = "ignored" if record.levelno >= logging.WARNING else "read"
             report.add(getattr(record, "doctor", usual), record.getMessage())
 
     before, level = logger.handlers[:], logger.level
@@ -128,7 +128,9 @@ def _examine_recording(request: ImportRequest, format_name: str | None, report: 
             first, *others = survey.lines()
             report.add("guessed" if survey.origin == "guess" else "read", first)
             for line in others:
-                report.add("ignored" if "no measurement" in line else "guessed", line)
+                report.add("ignored" if "no measurement" in line else "read", line)
+            for line in survey.doubts():
+                report.add("guessed", line)
         if request.known.cameras is not None:
             frames = [
                 Frame(id=f.id, name=f.name, color=f"{f.color.target}{f.color.source.suffix}",

@@ -78,8 +78,8 @@ def write_recording(
     if options is None and len(recording.frames) < _SERIAL_BELOW:
         options = JobOptions(engine="serial")
     survey = survey_recording(recording, stated=depth_scale, missing=missing)
-    for line in [] if survey is None else survey.lines():
-        logger.info("%s", line)
+    if survey is not None:
+        survey.log()
     with atomic.new_folder(out) as staging:
         job = partial(
             write_frame,

@@ -57,40 +57,59 @@ def find_layout(source: Path) -> Layout | None:
         kind = "7scenes" if any(n.endswith(".pose.txt") for n in names) else "separate"
         poses = source if kind == "7scenes" else None
         return Layout(
-            kind=kind, color=str(source), depth=str(source), intrinsics=_intrinsics(source),
-            depth_scale=_MILLIMETRES if kind == "7scenes" else None, poses=poses,
-        )  # fmt: skip
+            kind=kind,
+            color=str(source),
+            depth=str(source),
+            intrinsics=_intrinsics(source),
+            depth_scale=_MILLIMETRES if kind == "7scenes" else None,
+            poses=poses,
+        )
     results = source / "results"
     if results.is_dir() and any(results.glob("frame*.jpg")) and any(results.glob("depth*.png")):
         return Layout(
-            kind="replica", color=str(results / "frame*"), depth=str(results / "depth*"),
-            intrinsics=_intrinsics(source) or _intrinsics(source.parent), poses=_poses(source),
-        )  # fmt: skip
+            kind="replica",
+            color=str(results / "frame*"),
+            depth=str(results / "depth*"),
+            intrinsics=_intrinsics(source) or _intrinsics(source.parent),
+            poses=_poses(source),
+        )
     color = next((source / n for n in _COLOR if _has_images(source / n)), None)
     depth = next((source / n for n in _DEPTH if (source / n).is_dir()), None)
     if color is None or depth is None:
         return None
-    found = {"color": str(color), "depth": str(depth)}
     calibration = source / "intrinsic" / "intrinsic_color.txt"
     if calibration.is_file():
         pose = source / "pose"
         return Layout(
-            kind="scannet", **found, intrinsics=calibration, depth_scale=_MILLIMETRES,
+            kind="scannet",
+            color=str(color),
+            depth=str(depth),
+            intrinsics=calibration,
+            depth_scale=_MILLIMETRES,
             poses=pose if pose.is_dir() else None,
-        )  # fmt: skip
+        )
     if (source / "rgb.txt").is_file() and (source / "depth.txt").is_file():
         return Layout(
-            kind="tum", **found, intrinsics=_intrinsics(source), depth_scale=_TUM_UNIT,
+            kind="tum",
+            color=str(color),
+            depth=str(depth),
+            intrinsics=_intrinsics(source),
+            depth_scale=_TUM_UNIT,
             poses=_poses(source),
-        )  # fmt: skip
+        )
     if color.name == "rgb" and (source / "metadata.json").is_file():
-        return Layout(kind="record3d", **found, intrinsics=source / "metadata.json")
+        return Layout(
+            kind="record3d", color=str(color), depth=str(depth), intrinsics=source / "metadata.json"
+        )
     intrinsics = _intrinsics(source)
     open3d = intrinsics is not None and intrinsics.name.startswith(("intrinsic.", "camera_"))
     return Layout(
-        kind="redwood" if open3d else "separate", **found, intrinsics=intrinsics,
+        kind="redwood" if open3d else "separate",
+        color=str(color),
+        depth=str(depth),
+        intrinsics=intrinsics,
         poses=_poses(source),
-    )  # fmt: skip
+    )
 
 
 def _has_images(folder: Path) -> bool:

@@ -120,10 +120,10 @@ def _by_time(color: Images, depth: Images, stamps: Stamps, skip_unpaired: bool) 
     ]
     for images, found in zip((color, depth), times, strict=True):
         if len(found) != len(images):
-            lost = next(k for k in images if k not in found)
+            unnamed = next(k for k in images if k not in found)
             raise errors.ToolkitError(
                 "no time stamp in the name of this image, and in no list beside its folder",
-                path=images[lost],
+                path=images[unnamed],
                 field="--pair",
                 value="time",
                 hint="rgb.txt and depth.txt hold a time stamp and a name per line",

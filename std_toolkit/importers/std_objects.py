@@ -238,12 +238,12 @@ def fit_pose(maps: dict[str, Path], mask_id: int, camera: Camera) -> SE3 | None:
     depth = read_foreign_depth(maps["depth"], size=size).values
     mask = foreign_files.read_mask_source(maps["mask"], size=size)
     picture = read_png(maps["nocs"], size=size)
-    chosen = (mask == mask_id) & (depth > 0)  # type: ignore[operator]
+    chosen = (mask == mask_id) & (depth > 0)
     if picture.ndim != 3 or picture.dtype != np.uint8 or chosen.sum() < _FEWEST_PIXELS:
         return None
     nocs = picture[chosen].astype(np.float64) / 255
     nocs[:, 2] = 1 - nocs[:, 2]
-    points = unproject_depth(depth, camera.resized(*size))[chosen]  # type: ignore[arg-type]
+    points = unproject_depth(depth, camera.resized(*size))[chosen]
     try:
         fit, inliers = ransac_similarity(nocs - 0.5, points, threshold_m=_INLIER_M)
     except ToolkitError:

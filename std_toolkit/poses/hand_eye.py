@@ -55,8 +55,8 @@ def read_transform(path: Path, *, unit_in_m: float) -> SE3:
     except ToolkitError:
         if path.suffix.lower() in (".json", ".yaml", ".yml", ".xml"):
             raise
-    whole = isinstance(document, Mapping)
-    M = _of_mapping(document, path) if whole else _of_table(path, document)
+    is_mapping = isinstance(document, Mapping)
+    M = _of_mapping(document, path) if is_mapping else _of_table(path, document)  # type: ignore[arg-type]
     T = SE3.from_matrix(M)
     return SE3(T.R, T.t * unit_in_m)
 

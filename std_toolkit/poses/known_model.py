@@ -244,7 +244,8 @@ def _extract(
 
 def _describe(loaded: dict[int, Any], options: PoseOptions) -> tuple[Any, dict[int, Any]]:
     count = sum(len(x.descriptors) for x in loaded.values())
-    if count < KnownPosesSettings.current().fewest_features or (count < 100 and not options.known.cameras_unchecked):
+    fewest = KnownPosesSettings.current().fewest_features
+    if count < (fewest if options.known.cameras_unchecked else 100):
         raise errors.ToolkitError(
             "the images have almost no features, so the poses cannot be checked",
             hint="put textured objects into view (a printed cloth is enough), focus, add light; or "

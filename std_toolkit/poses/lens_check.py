@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array
 from std_toolkit.geometry import Camera
@@ -145,7 +146,7 @@ def _adjust(sub: Any, options: Any, *, extra: bool) -> None:
 
 def _pinhole_model(model: Any, ids: list[int], camera: Camera) -> Any:
     """A model of some images, whose pixels are those of the pinhole `camera`."""
-    seen: dict[int, tuple[Array, Array]] = {}
+    seen: dict[int, tuple[NDArray[np.int64], Array]] = {}
     count: dict[int, int] = {}
     for number in ids:
         image = model.image(number)
