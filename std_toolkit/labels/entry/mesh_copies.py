@@ -51,7 +51,10 @@ def plan_mesh_copy(source: Path, *, unit: str, faces: int | None = None) -> dict
         files = {f"{safe_name(source.stem)}.ply": plain}
         check_copy(files, mesh, source)
         return files
-    if unit == "m" and source.suffix.lower() != ".gltf":
+    # The texture of a PLY file is a file of its own, as those of glTF.
+    suffix = source.suffix.lower()
+    is_painted = suffix == ".ply" and getattr(mesh.visual, "kind", None) == "texture"
+    if unit == "m" and suffix != ".gltf" and not is_painted:
         return {name: source.read_bytes()}
     # GLB embeds its textures; trimesh writes it deterministically.
     data = mesh.export(file_type="glb")

@@ -263,3 +263,15 @@ def test_damaged_frames_do_not_stop_the_survey(tmp_path: Path) -> None:
     (tmp_path / "b.png").write_bytes(b"no image")
     files = [DepthFile(tmp_path / n, (W, H), 0.001) for n in ("a.png", "b.png")]
     assert survey_depth(files, origin="guess").median_m == pytest.approx(0.65, abs=0.01)
+
+
+def test_a_folder_of_nocs_camera(tmp_path: Path) -> None:
+    depth = table()
+    coded = np.stack([np.zeros((H, W)), depth // 256, depth % 256], -1).astype(np.uint8)
+    for i in range(2):
+        write_color(tmp_path / f"n/{i:04d}_color.png", np.full((H, W, 3), 90, np.uint8))
+        cv2.imwrite(str(tmp_path / f"n/{i:04d}_depth.png"), coded)
+        cv2.imwrite(str(tmp_path / f"n/{i:04d}_coord.png"), coded)
+    request = ImportRequest(source=tmp_path / "n", name="n", intrinsics="60,60,31.5,23.5")
+    found = depth_of(import_recording(request, tmp_path / "scene", format_name="nocs"))
+    assert (found == depth * np.float32(0.001)).all()

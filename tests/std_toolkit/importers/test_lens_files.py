@@ -10,6 +10,7 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.intrinsics import read_intrinsics
+from std_toolkit.poses.camera_file import read_cameras
 
 K = [60, 0, 31.5, 0, 60, 23.5, 0, 0, 1]
 FIVE = (-0.28, 0.07, 2e-4, 1.7e-5, 0.0)
@@ -244,3 +245,27 @@ def test_the_unit_of_depth_that_a_file_states(
 def test_an_array_of_numpy(tmp_path: Path) -> None:
     np.save(tmp_path / "K.npy", np.reshape(K, (3, 3)).astype(float))
     assert read_intrinsics(str(tmp_path / "K.npy")).cx == 31.5
+
+
+def test_half_a_pixel_is_counted_once(tmp_path: Path) -> None:
+    """`--intrinsics transforms.json` and `--cameras transforms.json` have one principal point."""
+    row = {"file_path": "0.png", "transform_matrix": np.eye(4).tolist()}
+    lens = {"fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24, "w": 64, "h": 48, **NAMED}
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": [row]}))
+    one = read_intrinsics(str(tmp_path / "transforms.json"))
+    two = read_cameras(tmp_path / "transforms.json").lens()
+    assert two is not None and (one.cx, one.cy) == (two.cx, two.cy) == (31.5, 23.5)
+    assert one.distortion[:4] == two.distortion[:4] == FOUR
+
+
+def test_intrinsics_replace_those_that_a_file_of_poses_lacks(tmp_path: Path) -> None:
+    row = {"file_path": "0.png", "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "t.json").write_text(json.dumps({"fl_x": 60, "fl_y": 60, "frames": [row]}))
+    filed = read_cameras(tmp_path / "t.json")
+    assert len(filed.matrices) == 1
+    with pytest.raises(ToolkitError, match="incomplete"):
+        filed.lens()
+    omni = {"fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24, "camera_model": "OMNI", "frames": [row]}
+    (tmp_path / "t.json").write_text(json.dumps(omni))
+    with pytest.raises(ToolkitError, match=r"camera_model.*OMNI"):
+        read_cameras(tmp_path / "t.json").lens()

@@ -207,3 +207,17 @@ def test_a_copy_that_differs_is_refused(tmp_path: Path) -> None:
         check_same_mesh(other, painted, path=path)
     with pytest.raises(ToolkitError, match="lost its colours"):
         check_same_mesh(mesh, painted, path=path)
+
+
+def test_the_texture_of_a_ply_comes_along(tmp_path: Path) -> None:
+    picture(tmp_path / "red.png", RED)
+    vertices = "\n".join(f"{x} {y} {z} 0.5 0.5" for x, y, z in BOX.vertices)
+    faces = "\n".join(f"3 {a} {b} {c}" for a, b, c in BOX.faces)
+    head = ["ply", "format ascii 1.0", "comment TextureFile red.png", "element vertex 8"]
+    head += [f"property float {c}" for c in "xyzst"]
+    head += ["element face 12", "property list uchar int vertex_indices", "end_header"]
+    (tmp_path / "box.ply").write_text("\n".join([*head, vertices, faces, ""]))
+    files = plan_mesh_copy(tmp_path / "box.ply", unit="m")
+    assert list(files) == ["box.glb"]
+    (tmp_path / "copy").mkdir()
+    assert colors_of(load_mesh(write_mesh_copy(tmp_path / "copy", files))) == {RED}
