@@ -23,9 +23,14 @@ from std_toolkit.importers.depth_survey import (
 )
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.import_step import import_recording
-from std_toolkit.importers.importer import IMPORTERS, Recording, SourceFile, detect_format
+from std_toolkit.importers.importer import (
+    Recording,
+    SourceFile,
+    detect_format,
+    read_recording,
+)
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
-from std_toolkit.importers.options import ImageOptions, ImportRequest
+from std_toolkit.importers.options import ImageOptions, ImportRequest, check_depth_numbers
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
 from std_toolkit.scene.document import safe_name
@@ -122,6 +127,7 @@ def open_recordings(
     Raises:
         ToolkitError: a recording is missing, incomplete or has no depth, or two have one name.
     """
+    check_depth_numbers(images)
     if not sources:
         found = [_undistorted(_images(images), images.undistort_fov)]
     elif (images.color or images.depth) and not all(map(is_ros_recording, sources)):
@@ -180,7 +186,7 @@ def _folder_or_file(source: Path, images: ImageOptions, out: Path) -> RecordingF
             hint="for other names give --color DIR --depth DIR --intrinsics FILE",
         ) from error
     request = ImportRequest(source=source, name=name, **vars(images))
-    return _files(IMPORTERS.get(kind).read(request), name, str(source))
+    return _files(read_recording(kind, request), name, str(source))
 
 
 def _images(images: ImageOptions) -> RecordingFiles:
@@ -192,7 +198,7 @@ def _images(images: ImageOptions) -> RecordingFiles:
         pair, origin = _pair(color, depth, images)
         return RecordingFiles(name, images.color, (pair,), origin)
     request = ImportRequest(source=color, name=name, **vars(images))
-    return _files(IMPORTERS.get("folder").read(request), name, images.color)
+    return _files(read_recording("folder", request), name, images.color)
 
 
 def _pair(color: Path, depth: Path, images: ImageOptions) -> tuple[FrameFiles, UnitOrigin]:

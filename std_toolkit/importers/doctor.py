@@ -21,7 +21,7 @@ from std_toolkit.importers.depth_survey import GuessedUnit
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.import_step import survey_recording
 from std_toolkit.importers.intrinsics import read_intrinsics
-from std_toolkit.importers.options import ImportRequest
+from std_toolkit.importers.options import ImportRequest, check_depth_numbers
 from std_toolkit.log import logger
 from std_toolkit.poses.camera_file import read_cameras
 from std_toolkit.poses.known_cameras import read_known_poses
@@ -68,6 +68,7 @@ def examine(request: ImportRequest, *, format_name: str | None = None) -> Report
     report = Report()
     with _listening(report):
         try:
+            check_depth_numbers(request)
             if request.color is None and request.source.is_file() and not _is_bag(request.source):
                 _examine_file(request, report)
             else:
@@ -109,7 +110,7 @@ def _examine_recording(request: ImportRequest, format_name: str | None, report: 
     with TemporaryDirectory(prefix="std-doctor-") as workspace:
         if name == "ros":
             request = replace(request, workspace=Path(workspace))
-        recording = importer.IMPORTERS.get(name).read(request)
+        recording = importer.read_recording(name, request)
         for key, camera in recording.cameras.items():
             count = sum(f.camera == key for f in recording.frames)
             report.add(

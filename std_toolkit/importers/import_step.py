@@ -12,7 +12,7 @@ from std_toolkit.geometry.camera import Undistortion
 from std_toolkit.importers import foreign_files, importer
 from std_toolkit.importers.depth_survey import DepthFile, DepthSurvey, given_marks, survey_depth
 from std_toolkit.importers.frame_files import WrittenFrame, write_frame
-from std_toolkit.importers.options import ImportRequest
+from std_toolkit.importers.options import ImportRequest, check_depth_numbers
 from std_toolkit.io import atomic
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
@@ -247,27 +247,14 @@ def import_recording(
     """
     out = Path(out)
     atomic.check_vacant(out)
-    if request.depth_scale is not None and not 0 < request.depth_scale <= 1:
-        raise ToolkitError(
-            "must be metres per unit of the depth images, above 0 and at most 1",
-            field="--depth-scale",
-            value=request.depth_scale,
-            hint="millimetres: 0.001",
-        )
-    if not 0.8 < request.depth_correction < 1.25:
-        raise ToolkitError(
-            "must be between 0.8 and 1.25",
-            field="--depth-correction",
-            value=request.depth_correction,
-            hint="give a calibrated factor such as 0.98; --depth-scale sets the unit",
-        )
+    check_depth_numbers(request)
     if format_name is None:
         format_name = importer.format_of(request)
     with ExitStack() as stack:
         if format_name == "ros":
             workspace = stack.enter_context(atomic.temporary_folder(out))
             request, link = replace(request, workspace=workspace), "hard"
-        recording = importer.IMPORTERS.get(format_name).read(request)
+        recording = importer.read_recording(format_name, request)
         return write_recording(
             recording,
             out,

@@ -6,6 +6,7 @@ so that image checks, depth conversion and atomicity are the same for every form
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -143,6 +144,49 @@ IMPORTERS: plugins.Registry[Importer] = plugins.Registry(
 )
 
 
+def read_recording(name: str, request: ImportRequest) -> Recording:
+    """What the importer of a format reads.
+
+    Raises:
+        ToolkitError: as `Importer.read`; an error of a plug-in names its file.
+    """
+    reader = IMPORTERS.get(name)
+    try:
+        recording = reader.read(request)
+        if not isinstance(recording, Recording):
+            raise TypeError(f"`read` returned {type(recording).__name__}, not a Recording")
+    except errors.ToolkitError:
+        raise
+    except Exception as error:
+        raise _of_plugin(name, reader, error) from error
+    return recording
+
+
+def _of_plugin(name: str, reader: Importer, error: Exception) -> Exception:
+    """The error of a plug-in in one line; that of an importer of the toolkit as it is."""
+    if type(reader).__module__.startswith("std_toolkit."):
+        return error
+    try:
+        file = inspect.getfile(type(reader))
+    except (OSError, TypeError):
+        file = name
+    return errors.ToolkitError(
+        f"the importer {name} failed: {type(error).__name__}: {error}",
+        path=file,
+        hint="an error of this plug-in; --debug prints the traceback",
+    )
+
+
+def _recognises(name: str, source: Path) -> bool:
+    reader = IMPORTERS.get(name)
+    try:
+        return bool(reader.recognises(source))
+    except errors.ToolkitError:
+        raise
+    except Exception as error:
+        raise _of_plugin(name, reader, error) from error
+
+
 def format_of(request: ImportRequest) -> str:
     """The importer of a request without --format: "folder" for separate images.
 
@@ -162,7 +206,7 @@ def detect_format(source: Path) -> str:
     """
     if not source.exists():
         raise errors.ToolkitError("no such file or folder", path=source)
-    found = [name for name in IMPORTERS if IMPORTERS.get(name).recognises(source)]
+    found = [name for name in IMPORTERS if _recognises(name, source)]
     if len(found) > 1 and "folder" in found:  # other formats, too, have folders of images
         found.remove("folder")
     if len(found) == 1:

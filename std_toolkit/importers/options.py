@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.options import KnownCameras, Material
 
 
@@ -68,3 +69,25 @@ class ImportRequest(ImportOptions):
     source: Path
     name: str
     workspace: Path | None = None
+
+
+def check_depth_numbers(options: ImageOptions) -> None:
+    """Check unit and correction of the depth.
+
+    Raises:
+        ToolkitError: one of them is impossible.
+    """
+    if options.depth_scale is not None and not 0 < options.depth_scale <= 1:
+        raise ToolkitError(
+            "must be metres per unit of the depth images, above 0 and at most 1",
+            field="--depth-scale",
+            value=options.depth_scale,
+            hint="millimetres: 0.001",
+        )
+    if not 0.8 < options.depth_correction < 1.25:
+        raise ToolkitError(
+            "must be between 0.8 and 1.25",
+            field="--depth-correction",
+            value=options.depth_correction,
+            hint="give a calibrated factor such as 0.98; --depth-scale sets the unit",
+        )

@@ -92,3 +92,10 @@ def test_a_layout_of_a_data_set(tmp_path: Path) -> None:
     for kind in ("rgb", "depth"):
         (tmp_path / f"{kind}.txt").write_text("# time name\n")
     assert first(tmp_path).read()[1].max() == pytest.approx(0.8, abs=1e-3)
+
+
+@pytest.mark.parametrize("scale", [0.0, -0.001, float("nan"), 1000.0])
+def test_impossible_units_are_refused(scale: float, tmp_path: Path) -> None:
+    record(tmp_path, MILLIMETRES.astype(np.uint16))
+    with pytest.raises(ToolkitError, match="--depth-scale: must be metres per unit"):
+        first(tmp_path, depth_scale=scale)

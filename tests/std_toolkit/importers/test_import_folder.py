@@ -315,3 +315,28 @@ def test_a_third_party_importer_is_found_by_its_path(recording, tmp_path, monkey
     )
     assert len(scene.frames) == 10
     refused(tmp_path / "x", "known: folder, std", request(recording), format_name="exotic")
+
+
+class Broken:
+    """A third party's importer with errors of its own."""
+
+    def __init__(self, fault):
+        self.fault = fault
+
+    def recognises(self, source):
+        return source is None
+
+    def read(self, asked):
+        if self.fault == "raises":
+            return {}["no such key"]
+        return [asked]
+
+
+@pytest.mark.parametrize("fault", ["raises", "returns a list"])
+def test_an_error_of_a_plug_in_names_its_file(recording, tmp_path, monkeypatch, fault):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "third_party", sys.modules[__name__])
+    monkeypatch.setattr(sys.modules[__name__], "BROKEN", Broken(fault), raising=False)
+    words = r"test_import_folder\.py: the importer third_party:BROKEN failed: (Key|Type)Error"
+    refused(tmp_path / "x", words, request(recording), format_name="third_party:BROKEN")
