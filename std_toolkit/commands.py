@@ -52,6 +52,23 @@ class ImportCommand:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DoctorCommand:
+    """Tell what an import would find, read, guess and ignore; nothing is written.
+
+    Give a recording and the options of `std-curate import`, or a mesh, a file of intrinsics or one
+    of camera poses. The exit status is 1 if the import would stop.
+    """
+
+    source: Path | None = field(default=None, metadata={"option": ""})
+    """folder or file to examine"""
+    format: str | None = None
+    """as for import"""
+    options: ImportOptions = field(default_factory=ImportOptions)
+    json: bool = False
+    """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class InfoCommand:
     """Print the contents of a scene, what is missing, and the next command."""
 

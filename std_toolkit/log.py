@@ -1,5 +1,6 @@
 """The toolkit's logger. Modules log to it; only the command line adds a handler."""
 
+import io
 import logging
 import sys
 import threading
@@ -21,6 +22,16 @@ def log_to_stderr(level: int = logging.INFO) -> None:
     logger.handlers[:] = [handler]
     logger.setLevel(level)
     logger.propagate = False
+
+
+def escape_what_cannot_be_encoded() -> None:
+    """Let stdout and stderr escape characters that their encoding lacks, instead of failing.
+
+    Names of files may have any character; pipes and old terminals may have latin-1 or ASCII.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors != "backslashreplace":
+            stream.reconfigure(errors="backslashreplace")
 
 
 class _NewWarnings(logging.Filter):

@@ -97,6 +97,9 @@ class KnownCameras(CheckedOptions):
     """refuse poses with a larger median reprojection error of matched features"""
     cameras_max_dt: Positive = 0.02
     """largest time in seconds between an image and its pose, for files with time stamps"""
+    cameras_first: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    """number of the pose that belongs to the first image, where poses and images count from
+    different numbers (default: equal numbers belong together)"""
     cameras_unchecked: bool = False
     """keep poses that do not pass this check or cannot be checked"""
     hand_eye: Path | None = None

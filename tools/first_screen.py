@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from benchmark import Restorer
 from benchmark.evaluation.depth_panels import depth_picture, range_of
-from std_toolkit.importers.foreign_files import read_foreign_depth
+from std_toolkit.importers.depth_files import read_foreign_depth
 from std_toolkit.importers.intrinsics import read_intrinsics
 from std_toolkit.io.images import read_color, write_color
 

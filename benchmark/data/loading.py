@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from benchmark.data.frame import BACKGROUND
 from benchmark.data.splits import FrameKey, SceneFiles
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.foreign_files import FARTHEST_MEDIAN_M, natural_key
+from std_toolkit.importers.depth_survey import DepthSurveySettings
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.io.images import read_png
 
@@ -189,7 +190,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     depth[~((depth > 0) & (depth < NOTHING_BEYOND_M))] = 0
     sample = depth[::8, ::8]
     measured = sample[sample > 0]
-    if measured.size and np.median(measured) > FARTHEST_MEDIAN_M:
+    if measured.size and np.median(measured) > DepthSurveySettings.current().farthest_m:
         raise ToolkitError(
             "the median depth is implausible: the file seems not to be in metres",
             path=path,

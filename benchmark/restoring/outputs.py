@@ -158,6 +158,8 @@ class FramePaths:
             inputs["cameras of the undistortion"] = digest_of(
                 repr(frame.undistortion), versioned=False
             )
+        reading = [frame.scale, frame.correction, frame.missing.values, frame.missing.float_unit]
+        inputs["reading of the depth"] = digest_of(reading, versioned=False)
         return Artefact(self.out, f"frame {frame.name}", inputs)
 
 

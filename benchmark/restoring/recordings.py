@@ -4,7 +4,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -13,16 +13,24 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, Undistortion
-from std_toolkit.importers.foreign_files import (
-    DEPTH_SUFFIXES,
-    check_unit,
-    is_ros_recording,
-    read_foreign_depth,
+from std_toolkit.importers.depth_files import DEPTH_SUFFIXES, Missing, read_foreign_depth
+from std_toolkit.importers.depth_survey import (
+    DepthFile,
+    UnitOrigin,
+    given_marks,
+    survey_depth,
+    with_unit_asked,
 )
+from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.import_step import import_recording
-from std_toolkit.importers.importer import IMPORTERS, Recording, SourceFile, detect_format
+from std_toolkit.importers.importer import (
+    Recording,
+    SourceFile,
+    detect_format,
+    read_recording,
+)
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
-from std_toolkit.importers.options import ImageOptions, ImportRequest
+from std_toolkit.importers.options import ImageOptions, ImportRequest, check_depth_numbers
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
 from std_toolkit.scene.document import safe_name
@@ -30,8 +38,6 @@ from std_toolkit.scene.document import safe_name
 # Read beside color/ and depth/ if no --intrinsics are given.
 INTRINSICS = "intrinsics.json"
 _OF_LIBREALSENSE = (".bag", ".db3")
-# Frames whose unit of depth is checked before the work begins.
-_CHECKED = 5
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,8 @@ class FrameFiles:
         scale: metres per unit of a 16-bit depth image.
         correction: factor of the depth, from a calibration.
         undistortion: of both images to `camera`, if they are recorded through another lens.
+        missing: which numbers of the depth are no measurement.
+        two_bytes: whether the depth may have two bytes in colours.
     """
 
     name: str
@@ -55,6 +63,8 @@ class FrameFiles:
     correction: float = 1.0
     resize: bool = False
     undistortion: Undistortion | None = None
+    missing: Missing = field(default_factory=Missing)
+    two_bytes: bool = False
 
     def read(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Read (h, w, 3) RGB and (h, w) metres, 0 where the sensor measured nothing.
@@ -66,16 +76,21 @@ class FrameFiles:
         color = read_color(self.color, size=None if self.resize else size)
         if self.resize and (color.shape[1], color.shape[0]) != size:
             color = cv2.resize(color, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-        depth = read_foreign_depth(self.depth, size=size).values.astype(np.float32)
+        missing = replace(self.missing, unit=self.scale)
+        stored = read_foreign_depth(
+            self.depth, size=size, missing=missing, two_bytes=self.two_bytes
+        ).values
+        unit = (missing.unit_of(stored) or 1.0) * self.correction
+        depth = stored.astype(np.float32)
         if self.undistortion is not None:
             color = self.undistortion.image(color)  # type: ignore[assignment]
             depth = self.undistortion.depth(depth)  # type: ignore[assignment]
-        return color, depth * np.float32(self.unit)
+        return color, depth * np.float32(unit)
 
     @property
     def unit(self) -> float:
-        """Metres per number in the depth image."""
-        return (self.scale if self.is_png and self.scale else 1.0) * self.correction
+        """Metres per number in a 16-bit depth image."""
+        return (self.scale or 1.0) * self.correction
 
     @property
     def is_png(self) -> bool:
@@ -90,11 +105,13 @@ class RecordingFiles:
         name: of its folder of results, where there are several.
         source: as the user gave it.
         frames: in the order of recording.
+        unit_origin: who states the unit of depth.
     """
 
     name: str
     source: str
     frames: tuple[FrameFiles, ...]
+    unit_origin: UnitOrigin = "format"
 
 
 def open_recordings(
@@ -110,6 +127,7 @@ def open_recordings(
     Raises:
         ToolkitError: a recording is missing, incomplete or has no depth, or two have one name.
     """
+    check_depth_numbers(images)
     if not sources:
         found = [_undistorted(_images(images), images.undistort_fov)]
     elif (images.color or images.depth) and not all(map(is_ros_recording, sources)):
@@ -121,7 +139,7 @@ def open_recordings(
     for recording in found:
         if not recording.frames:
             raise ToolkitError("no frame has sensor depth", path=recording.source)
-        _check_unit(recording)
+    found = [_surveyed(recording, images) for recording in found]
     names = [recording.name for recording in found]
     if twice := next((n for i, n in enumerate(names) if n in names[:i]), None):
         raise ToolkitError(
@@ -168,7 +186,7 @@ def _folder_or_file(source: Path, images: ImageOptions, out: Path) -> RecordingF
             hint="for other names give --color DIR --depth DIR --intrinsics FILE",
         ) from error
     request = ImportRequest(source=source, name=name, **vars(images))
-    return _files(IMPORTERS.get(kind).read(request), name, str(source))
+    return _files(read_recording(kind, request), name, str(source))
 
 
 def _images(images: ImageOptions) -> RecordingFiles:
@@ -177,12 +195,14 @@ def _images(images: ImageOptions) -> RecordingFiles:
     color, depth = Path(images.color), Path(images.depth)
     name = safe_name(color.resolve().parent.name or "images")
     if color.is_file() or depth.is_file():
-        return RecordingFiles(name, images.color, (_pair(color, depth, images),))
+        pair, origin = _pair(color, depth, images)
+        return RecordingFiles(name, images.color, (pair,), origin)
     request = ImportRequest(source=color, name=name, **vars(images))
-    return _files(IMPORTERS.get("folder").read(request), name, images.color)
+    return _files(read_recording("folder", request), name, images.color)
 
 
-def _pair(color: Path, depth: Path, images: ImageOptions) -> FrameFiles:
+def _pair(color: Path, depth: Path, images: ImageOptions) -> tuple[FrameFiles, UnitOrigin]:
+    """The frame of two images, and who states the unit of its depth."""
     for path, kinds in ((color, COLOR_SUFFIXES), (depth, DEPTH_SUFFIXES)):
         if not path.is_file():
             raise ToolkitError(
@@ -197,15 +217,18 @@ def _pair(color: Path, depth: Path, images: ImageOptions) -> FrameFiles:
             hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
         )
     size = image_size(color)
-    intrinsics = with_distortion(read_intrinsics(images.intrinsics, size=size), images.distortion)
-    return FrameFiles(
+    intrinsics = with_distortion(
+        read_intrinsics(images.intrinsics, size=size, camera=images.camera), images.distortion
+    )
+    frame = FrameFiles(
         safe_name(color.stem),
         color,
         depth,
         intrinsics.camera(size, path=images.intrinsics, off_centre=images.off_centre),
-        images.depth_scale or 0.001,
+        images.depth_scale or intrinsics.depth_scale or 0.001,
         images.depth_correction,
     )
+    return frame, "guess" if intrinsics.depth_scale is None else "file"
 
 
 def _undistorted(recording: RecordingFiles, fov_deg: float | None) -> RecordingFiles:
@@ -234,8 +257,9 @@ def _files(recording: Recording, name: str, source: str) -> RecordingFiles:
     def frame(title: str, color: SourceFile, depth: SourceFile, camera: Camera) -> FrameFiles:
         scale, correction = depth.depth_scale, recording.depth_correction
         return FrameFiles(
-            title, color.source, depth.source, camera, scale, correction, color.resize
-        )
+            title, color.source, depth.source, camera, scale, correction, color.resize,
+            two_bytes=depth.two_bytes,
+        )  # fmt: skip
 
     return RecordingFiles(
         name,
@@ -245,6 +269,7 @@ def _files(recording: Recording, name: str, source: str) -> RecordingFiles:
             for f in recording.frames
             if f.depth is not None
         ),
+        recording.unit_origin,
     )
 
 
@@ -309,20 +334,33 @@ def _unpacked(source: Path, out: Path) -> Path:
     return scene
 
 
-def _check_unit(recording: RecordingFiles) -> None:
-    """Check the unit of depth on a few frames that can be read.
+def _surveyed(recording: RecordingFiles, images: ImageOptions) -> RecordingFiles:
+    """The recording with what means "no measurement", as `std-curate import` finds it.
 
     Raises:
-        ToolkitError: their median depth is implausible.
+        ToolkitError: the unit of the depth is implausible.
     """
-    step = max(1, len(recording.frames) // _CHECKED)
-    for frame in recording.frames[::step][:_CHECKED]:
-        try:
-            depth = frame.read()[1]
-        except ToolkitError:
-            continue  # reported with its frame
-        measured = depth[depth > 0]
-        if len(measured) >= 100:
-            scale = frame.scale if frame.is_png else None
-            check_unit(float(np.median(measured)), path=frame.depth, depth_scale=scale)
-            return
+
+    def looked(scale: float | None) -> RecordingFiles:
+        frames = recording.frames
+        if scale is not None:
+            frames = tuple(replace(f, scale=scale) for f in frames)
+        survey = survey_depth(
+            [
+                DepthFile(
+                    f.depth,
+                    f.undistortion.recorded.size if f.undistortion else f.camera.size,
+                    f.scale,
+                    f.two_bytes,
+                )
+                for f in frames
+            ],
+            origin="flag" if scale or images.depth_scale else recording.unit_origin,
+            stated=scale or images.depth_scale,
+            marks=given_marks(images.missing),
+            correction=frames[0].correction,
+        )
+        survey.log(recording.source)
+        return replace(recording, frames=tuple(replace(f, missing=survey.missing) for f in frames))
+
+    return with_unit_asked(looked)

@@ -37,6 +37,9 @@ PROGRAM = Program(
     "in metres, 6D labels, ground truth, checks, export.",
     commands=(
         _command("import", "make a scene from a recording", "recording:import_scene"),
+        _command(
+            "doctor", "tell what an import finds, reads, guesses, ignores", "recording:doctor"
+        ),
         _command("info", "print the contents of a scene and the next step", "recording:print_info"),
         _command("poses", "recover camera poses in metres", "recording:recover_poses"),
         _command(

@@ -14,6 +14,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from std_toolkit.log import escape_what_cannot_be_encoded
 from std_toolkit.plugins import install
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def run(name: str, arguments: Sequence[str] | None = None) -> int:
 
 def _load(name: str) -> Program:
     install()
+    escape_what_cannot_be_encoded()
     try:
         program: Program = import_module(PROGRAMS[name]).PROGRAM
     except KeyboardInterrupt:  # a signal is handled once the program runs

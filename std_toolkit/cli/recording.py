@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from std_toolkit.cli.command import print_json
 from std_toolkit.commands import (
+    DoctorCommand,
     ImportCommand,
     InfoCommand,
     PosesCommand,
@@ -21,11 +22,13 @@ from std_toolkit.options import JobOptions
 
 if TYPE_CHECKING:
     from std_toolkit.scene.model import CameraPoses
+    from std_toolkit.scene.scene import Scene
 
 
 def import_scene(command: ImportCommand) -> int:
     """Make the scene and print its summary."""
     from std_toolkit.checks.summary import summarise
+    from std_toolkit.importers.depth_survey import with_unit_asked
     from std_toolkit.importers.foreign_files import is_ros_recording
     from std_toolkit.importers.import_step import import_recording
     from std_toolkit.scene.document import check_name, safe_name
@@ -39,13 +42,17 @@ def import_scene(command: ImportCommand) -> int:
     else:
         name = safe_name(command.out.resolve().name)
     request = ImportRequest(source=Path(source), name=name, **vars(command.options))
-    scene = import_recording(
-        request,
-        command.out,
-        format_name=command.format,
-        link=command.link,
-        options=asked(command.jobs),
-    )
+
+    def run(depth_scale: float | None) -> Scene:
+        return import_recording(
+            request if depth_scale is None else replace(request, depth_scale=depth_scale),
+            command.out,
+            format_name=command.format,
+            link=command.link,
+            options=asked(command.jobs),
+        )
+
+    scene = with_unit_asked(run)
     print("\n".join(summarise(scene).lines()))
     if command.options.known.cameras is None or scene.poses is None:
         return 0
@@ -53,6 +60,22 @@ def import_scene(command: ImportCommand) -> int:
 
     print("\n".join(pose_lines(scene.poses, [f.name for f in scene.frames])))
     return report_failed_gates(scene.poses)
+
+
+def doctor(command: DoctorCommand) -> int:
+    """Print what an import would find; 1 if it would stop."""
+    from std_toolkit.importers.doctor import examine
+
+    source = command.source or command.options.color
+    if source is None:
+        raise ToolkitError("give a folder or file, or --color", hint="see doctor --help")
+    request = ImportRequest(source=Path(source), name="doctor", **vars(command.options))
+    report = examine(request, format_name=command.format)
+    if command.json:
+        print_json([{"kind": kind, "text": text} for kind, text in report.rows])
+    else:
+        print("\n".join(report.lines()))
+    return 1 if report.is_refused else 0
 
 
 def asked(jobs: JobOptions) -> JobOptions | None:

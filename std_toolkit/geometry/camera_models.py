@@ -120,7 +120,9 @@ class OpenCV(Lens):
     in_scenes = True
     named = (
         "opencv", "fullopencv", "simpleradial", "radial", "radtan", "radialtangential", "plumbbob",
-        "rationalpolynomial", "rational", "brownconrady", "brown",
+        "rationalpolynomial", "rational", "rationalmodel", "brownconrady", "brown", "radtan8",
+        "pinholeradtan", "pinholeradtan8", "radialtangential8", "pinholebrownconrady", "opencv5",
+        "opencv8",
     )  # fmt: skip
     colmap: ClassVar = {
         "SIMPLE_RADIAL": (1, 1), "RADIAL": (1, 2), "OPENCV": (2, 4), "FULL_OPENCV": (2, 8),
@@ -210,7 +212,8 @@ class Fisheye(Lens):
     in_scenes = False
     named = (
         "fisheye", "opencvfisheye", "simplefisheye", "radialfisheye", "simpleradialfisheye",
-        "equidistant", "equi", "kannalabrandt", "kannalabrandt4", "kb4",
+        "equidistant", "equidist", "equi", "kannalabrandt", "kannalabrandt4", "kannalabrandt8",
+        "kb4", "pinholeequi", "pinholeequidistant", "equidistant4", "fisheyeopencv", "fisheye4",
     )  # fmt: skip
     colmap: ClassVar = {
         "SIMPLE_FISHEYE": (1, 0), "FISHEYE": (2, 0), "SIMPLE_RADIAL_FISHEYE": (1, 1),

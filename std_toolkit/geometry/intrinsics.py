@@ -1,25 +1,15 @@
-"""Intrinsics as other programs file them: without an image size, with their name of the lens."""
+"""Intrinsics as other programs file them: without an image size, with their lens."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.camera_models import MODELS, Pinhole
 
 # Largest distance of the principal point of an uncropped image from its centre, as a fraction of
 # the image. Half-size intrinsics put it at a quarter, those of a 4:3 image on 16:9 at two thirds.
 _OFF_CENTRE = 0.15
-# Keys of foreign files that name the lens model. `model` may also be the name of the device.
-_MODEL_KEYS = ("camera_model", "distortion_model", "lens_model", "model")
-_FURTHER_KEYS = ("k3", "k4", "k5", "k6")
-_FISHEYE_KEYS = ("is_fisheye", "fisheye_model", "fisheye")
-# Names that mention one of these are lens models other than OpenCV's, not names of devices.
-_FOREIGN = re.compile("inverse|fisheye|equi|kannala|theta|omni|eucm|^ds|spher|division|fov")
 
 
 @dataclass(frozen=True)
@@ -30,6 +20,8 @@ class Intrinsics:
         distortion: coefficients of the lens model `model`.
         size: (width, height) if the source has it.
         model: as in `Camera`.
+        depth_scale: metres per unit of 16-bit depth images, if the source states it.
+        notes: sentences on what was read, and from which keys.
     """
 
     fx: float
@@ -39,6 +31,8 @@ class Intrinsics:
     distortion: tuple[float, ...] = ()
     size: tuple[int, int] | None = None
     model: str = "opencv"
+    depth_scale: float | None = field(default=None, compare=False)
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
     @staticmethod
     def of(camera: Camera) -> Intrinsics:
@@ -88,91 +82,3 @@ class Intrinsics:
                 hint="a recording that `std-curate import` reads is undistorted",
             )
         return camera
-
-
-def named_lens(
-    data: Mapping[str, Any], number: Callable[[Any], float]
-) -> tuple[str, tuple[float, ...]]:
-    """Lens model and coefficients of a document that names them k1, k2, p1, ...
-
-    Args:
-        data: its keys.
-        number: converts a value, or raises.
-
-    Raises:
-        ToolkitError: the model is not supported, its coefficients are missing, or k4 is not clear.
-    """
-    found = {key: number(data.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", *_FURTHER_KEYS)}
-    model = model_of_file(data, has_coefficients=any(found.values()))
-    k = tuple(found[key] for key in re.findall(r"\w+", MODELS[model].order))
-    if model != "opencv":
-        if "k1" not in data:  # a pinhole is OpenCV's model without coefficients; these are not
-            raise ToolkitError(
-                f"the coefficients of the {model} lens are missing",
-                field="k1",
-                hint=f"needed: {MODELS[model].order}, or `distortion` with all of them",
-            )
-        return model, k
-    if not any(k[5:]):
-        return model, k[:5] if any(k) else ()
-    if not ("k5" in data or "k6" in data or re.search("(?i)full|rational", str(data))):
-        raise ToolkitError(
-            "of the rational model, or of a longer polynomial, as nerfstudio has it?",
-            field="k4",
-            value=data["k4"],
-            hint="state the model: FULL_OPENCV or OPENCV_FISHEYE; others are not supported",
-        )
-    return model, k
-
-
-def listed_coefficients(values: Sequence[float], model: str) -> tuple[float, ...]:
-    """Coefficients of a list in the model's order, without zeros that are too many.
-
-    Raises:
-        ToolkitError: too many coefficients.
-    """
-    k = list(values)
-    count = max((n for n in MODELS[model].counts if n <= len(k)), default=len(k))
-    if any(k[count:]):
-        raise ToolkitError("too many distortion coefficients", value=len(k))
-    return tuple(k[:count])
-
-
-def model_of_file(data: Mapping[str, Any], *, has_coefficients: bool) -> str:
-    """The model in `MODELS` that a foreign document states; "opencv" if it states none.
-
-    Args:
-        data: its keys, such as `camera_model`, `distortion_model`, `is_fisheye`.
-        has_coefficients: whether a distortion coefficient differs from 0.
-
-    Raises:
-        ToolkitError: the stated model is none of `MODELS`.
-    """
-    flags = [str(data.get(key, "")).lower() for key in _FISHEYE_KEYS]
-    found = {"fisheye"} if any(flag in ("true", "1", "1.0") for flag in flags) else set()
-    for key in _MODEL_KEYS:
-        text = str(data.get(key) or "").lower().removeprefix("distortion.")
-        plain = re.sub("[^a-z0-9]", "", text)
-        known = next((name for name, kind in MODELS.items() if plain in kind.named), None)
-        if known is not None:
-            found.add(known)
-        elif plain and not _is_harmless(key, plain, has_coefficients):
-            raise ToolkitError(
-                "this distortion model is not supported",
-                field=key,
-                value=text,
-                hint="supported are OpenCV's radial-tangential, rational and fisheye models; "
-                "undistort the images first",
-            )
-    # Kalibr states "pinhole" and "equidistant" of one lens.
-    return next((name for name in found if name != "opencv"), "opencv")
-
-
-def _is_harmless(key: str, name: str, has_coefficients: bool) -> bool:
-    """Whether a name that is no known model is that of a pinhole, or may be that of a device."""
-    if name in Pinhole.named:
-        return True
-    if not has_coefficients and "brown" in name:  # those of librealsense, without distortion
-        return True
-    may_be_device = key == "model" or (key == "camera_model" and not has_coefficients)
-    return may_be_device and not _FOREIGN.search(name)

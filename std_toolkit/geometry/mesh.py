@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh_damage import check_whole, warn_of_loose_vertices
+from std_toolkit.geometry.mesh_records import read_records
+from std_toolkit.geometry.obj_files import ObjFiles, log_notes, read_obj
 from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
 from std_toolkit.geometry.ray_caster import import_open3d
 
@@ -27,6 +30,9 @@ LARGEST_EXTENT_M = 3.0
 _MOST_FOR_OPEN3D = 500_000
 
 UNITS_IN_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+SECOND_READER = "second_reader"
+"""Key of a mesh's metadata: other programs may not read its file."""
 
 Array = NDArray[np.float64]
 
@@ -69,13 +75,21 @@ def load_mesh(
         raise ToolkitError(
             "not a mesh format", path=path, value=path.suffix, hint=f"one of {MESH_SUFFIXES}"
         )
+    files = read_obj(path) if path.suffix.lower() == ".obj" else None
+    if files is not None:
+        log_notes(path, files)
     try:
-        loaded = trimesh.load(path, process=False, maintain_order=True)
-        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+        mesh = parse_mesh(path if files is None else files)
     except Exception as error:  # the parsers of trimesh raise many kinds of errors
-        raise ToolkitError(f"cannot read the mesh: {error}", path=path) from error
+        mesh = read_records(path)
+        if mesh is None:
+            raise ToolkitError(f"cannot read the mesh: {error}", path=path) from error
+        mesh.metadata[SECOND_READER] = True
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise ToolkitError("the mesh has no faces", path=path)
+        mesh = read_records(path)
+        if mesh is None or len(mesh.faces) == 0:
+            raise ToolkitError("the mesh has no faces", path=path)
+        mesh.metadata[SECOND_READER] = True
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise ToolkitError(
             "faces of the mesh refer to vertices that do not exist",
@@ -88,10 +102,11 @@ def load_mesh(
         raise ToolkitError("the mesh has vertices that are not finite", path=path)
     if (
         corners
-        and path.suffix.lower() == ".obj"
+        and files is not None
+        and files.has_one_material
         and getattr(mesh.visual, "kind", None) == "texture"
     ):
-        corner_uv = read_corner_uv(path, mesh.vertices[mesh.faces])
+        corner_uv = read_corner_uv(files.data, mesh.vertices[mesh.faces])
         if corner_uv is not None:
             mesh.face_attributes[CORNER_UV] = corner_uv
     if unit != "m":
@@ -99,6 +114,27 @@ def load_mesh(
     if not any_size:
         check_mesh_size(mesh, path=path)
     return mesh
+
+
+def parse_mesh(source: Path | ObjFiles, *, data: bytes | None = None, kind: str = "") -> Any:
+    """What trimesh reads: a mesh, or something without faces; errors are those of its parsers.
+
+    Args:
+        source: a file, or an OBJ file with its materials.
+        data: content of another kind of file, in place of `source`.
+        kind: suffix of `data`, without a dot.
+    """
+    import trimesh
+
+    options: dict[str, Any] = {"process": False, "maintain_order": True}
+    if data is not None:
+        loaded = trimesh.load(io.BytesIO(data), file_type=kind, **options)
+    elif isinstance(source, ObjFiles):
+        text = io.BytesIO(source.data)
+        loaded = trimesh.load(text, file_type="obj", resolver=cast("Any", source), **options)
+    else:
+        loaded = trimesh.load(source, **options)
+    return loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
 
 
 def decimate_mesh(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:

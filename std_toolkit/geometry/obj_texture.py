@@ -5,7 +5,6 @@ vertices has one for each vertex, so faces at the border of a patch of the textu
 """
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +13,18 @@ CORNER_UV = "corner_uv"
 """Face attribute of a mesh: (F, 6) float64 u, v of the three corners of each face."""
 
 
-def read_corner_uv(path: Path, triangles: NDArray[np.floating]) -> NDArray[np.float64] | None:
+def read_corner_uv(data: bytes, triangles: NDArray[np.floating]) -> NDArray[np.float64] | None:
     """Read the texture coordinates of the corners of every face.
 
     Args:
-        path: OBJ file.
+        data: content of the OBJ file.
         triangles: (F, 3, 3) corners of the faces as they were read from the file.
 
     Returns:
         (F, 6) u, v of the three corners. None if a face is no triangle with texture coordinates, or
         if the faces of the file are not `triangles` in their order.
     """
-    lines = path.read_bytes().replace(b"\\\n", b" ").splitlines()
+    lines = data.replace(b"\\\n", b" ").splitlines()
     faces = [line[2:] for line in lines if line.startswith(b"f ")]
     if len(faces) != len(triangles) or not faces:
         return None

@@ -15,6 +15,7 @@ from std_toolkit.io.documents import read_document
 from std_toolkit.scene.document import check_in_front
 
 MM = 0.001
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 Nine = Annotated[list[float], msgspec.Meta(min_length=9, max_length=9)]
 Three = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 _LARGEST_ID = 999_999
@@ -141,11 +142,26 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class BopScene:
-    """A scene's documents by image id; `gt` lacks images without objects."""
+    """A scene's documents by image id; `gt` lacks images without objects.
+
+    Attributes:
+        sensor: of a data set with several.
+    """
 
     folder: Path
     cameras: dict[int, CameraRow]
     gt: dict[int, list[GtRow]]
+    sensor: str = ""
+
+    def pictures(self, kind: str) -> Path:
+        """Folder of a kind of pictures, such as depth/ or depth_photoneo/."""
+        return self.folder / f"{kind}{'_' if self.sensor else ''}{self.sensor}"
+
+    def picture(self, kind: str, im_id: int) -> Path | None:
+        """A picture of an image, if it is there."""
+        folder = self.pictures(kind)
+        found = (folder / f"{im_id:06d}{suffix}" for suffix in PICTURE_SUFFIXES)
+        return next((path for path in found if path.is_file()), None)
 
 
 def read_bop_scene(folder: Path, sensor: str = "", *, for_import: bool = True) -> BopScene:
@@ -183,7 +199,13 @@ def read_bop_scene(folder: Path, sensor: str = "", *, for_import: bool = True) -
         if for_import or k == bad:
             with located(gt_path, f"{im_id}[{i}]"):
                 check_in_front(entry.filed_pose, unit_hint="BOP translations are in millimetres")
-    return BopScene(folder, cameras, gt)
+    return BopScene(folder, cameras, gt, sensor)
+
+
+def sensors_of(folder: Path) -> list[str]:
+    """Names of the sensors of a scene; "" of the only one of most data sets."""
+    names = (p.stem.removeprefix("scene_camera") for p in folder.glob("scene_camera*.json"))
+    return sorted(name.removeprefix("_") for name in names if not name or name[0] == "_")
 
 
 def scene_file(folder: Path, name: str, sensor: str = "") -> Path:

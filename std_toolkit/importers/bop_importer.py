@@ -5,15 +5,20 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError, located
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.importers import bop_objects
-from std_toolkit.importers.bop_documents import BopScene, CameraRow, count_rough, read_bop_scene
+from std_toolkit.importers.bop_documents import (
+    BopScene,
+    CameraRow,
+    count_rough,
+    read_bop_scene,
+    sensors_of,
+)
+from std_toolkit.importers.frame_files import picture_size
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.options import ImportRequest
-from std_toolkit.io.images import image_size
 from std_toolkit.scene.model import CameraPoses, FramePose, Material
 from std_toolkit.scene.sidecar import ExportedFrame, Sidecar, find_sidecar
 
 _COLOR_FOLDERS = ("rgb", "gray")
-_COLOR_SUFFIXES = (".png", ".jpg")
 # BOP does not record materials; most of its data sets are opaque.
 _DEFAULT_MATERIAL: Material = "diffuse"
 
@@ -31,7 +36,7 @@ class BopImporter:
             ToolkitError: a document breaks the format, or images or models are missing.
         """
         folder = _scene_folder(request.source)
-        scene = read_bop_scene(folder)
+        scene = read_bop_scene(folder, _sensor(folder, request.camera))
         found = find_sidecar(folder, "bop")
         sidecar = None if found is None else found[0]
         cameras, camera_of = _cameras(scene, sidecar)
@@ -88,9 +93,27 @@ class BopImporter:
 
 
 def _scene_folders(source: Path) -> list[Path]:
-    if (source / "scene_camera.json").is_file():
+    if sensors_of(source):
         return [source]
-    return sorted(p.parent for p in source.glob("*/*/scene_camera.json"))
+    return sorted({p.parent for p in source.glob("*/*/scene_camera*.json")})
+
+
+def _sensor(folder: Path, wanted: str | None) -> str:
+    """The sensor of a scene with several: the one that --camera names."""
+    names = sensors_of(folder)
+    if wanted is not None and wanted not in names:
+        raise ToolkitError(
+            "no such sensor in this scene", path=folder, field="--camera", value=wanted,
+            hint=f"it has {', '.join(filter(None, names)) or 'one without a name'}",
+        )  # fmt: skip
+    if wanted is None and len(names) > 1:
+        if "" in names:
+            return ""
+        raise ToolkitError(
+            f"the scene has {len(names)} sensors", path=folder,
+            hint=f"choose one with --camera: {', '.join(names)}",
+        )  # fmt: skip
+    return wanted if wanted is not None else names[0]
 
 
 def _scene_folder(source: Path) -> Path:
@@ -107,18 +130,13 @@ def _scene_folder(source: Path) -> Path:
     )
 
 
-def _color_path(folder: Path, im_id: int) -> Path:
-    for kind in _COLOR_FOLDERS:
-        for suffix in _COLOR_SUFFIXES:
-            path = folder / kind / f"{im_id:06d}{suffix}"
-            if path.is_file():
-                return path
-    raise ToolkitError("image file not found", path=folder / "rgb" / f"{im_id:06d}.png")
-
-
-def _depth_path(folder: Path, im_id: int) -> Path | None:
-    path = folder / "depth" / f"{im_id:06d}.png"
-    return path if path.is_file() else None
+def _color_path(scene: BopScene, im_id: int) -> Path:
+    found = (scene.picture(kind, im_id) for kind in _COLOR_FOLDERS)
+    path = next(filter(None, found), None)
+    if path is None:
+        missing = scene.pictures("rgb") / f"{im_id:06d}.png"
+        raise ToolkitError("image file not found", path=missing)
+    return path
 
 
 def _cameras(scene: BopScene, sidecar: Sidecar | None) -> tuple[dict[str, Camera], dict[int, str]]:
@@ -128,7 +146,7 @@ def _cameras(scene: BopScene, sidecar: Sidecar | None) -> tuple[dict[str, Camera
     cameras: dict[str, Camera] = {}
     camera_of: dict[int, str] = {}
     for im_id, row in sorted(scene.cameras.items()):
-        size = image_size(_color_path(scene.folder, im_id))
+        size = picture_size(_color_path(scene, im_id))
         # Two cameras of the sidecar remain separate, even with equal parameters.
         values = (named.get(im_id, ""), *size, *row.intrinsics)
         if values not in by_values:
@@ -147,20 +165,18 @@ def _camera(folder: Path, im_id: int, size: tuple[int, int], row: CameraRow) -> 
 def _common_depth_scale(scene: BopScene) -> float | None:
     """Metres per unit of the first depth image; other units are converted by the writer."""
     for im_id, row in sorted(scene.cameras.items()):
-        if _depth_path(scene.folder, im_id) is not None:
+        if scene.picture("depth", im_id) is not None:
             return row.depth_scale_m
     return None
 
 
 def _frame(scene: BopScene, im_id: int, camera: str, row: ExportedFrame | None) -> SourceFrame:
     name = f"{im_id:06d}" if row is None else row.name
-    depth = _depth_path(scene.folder, im_id)
+    depth = scene.picture("depth", im_id)
     return SourceFrame(
         id=im_id,
         name=name,
-        color=SourceFile(
-            source=_color_path(scene.folder, im_id), target=f"color/{name}", kind="color"
-        ),
+        color=SourceFile(source=_color_path(scene, im_id), target=f"color/{name}", kind="color"),
         depth=None
         if depth is None
         else SourceFile(

@@ -1,16 +1,20 @@
 """A folder of colour images, and one of aligned depth images, paired by name."""
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 from std_toolkit import errors, log
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.intrinsics import Intrinsics
-from std_toolkit.importers.foreign_files import DEPTH_SUFFIXES, natural_key
+from std_toolkit.importers.depth_files import DEPTH_SUFFIXES
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.layouts import Layout, find_layout
 from std_toolkit.importers.options import ImportRequest
+from std_toolkit.importers.pairing import paired
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
 from std_toolkit.scene.document import safe_name
 
@@ -32,8 +36,9 @@ _SEPARATORS = re.compile(r"[-_. ]+")
 class FolderImporter:
     """Separate images. Frames are sorted naturally; ids count from 0 in that order."""
 
-    def recognises(self, source: Path) -> bool:  # noqa: ARG002 - any folder could be one
-        return False
+    def recognises(self, source: Path) -> bool:
+        """See `Importer`: one of the layouts that `layouts` knows."""
+        return find_layout(source) is not None
 
     def read(self, request: ImportRequest) -> Recording:
         """See `Importer`.
@@ -42,6 +47,9 @@ class FolderImporter:
             ToolkitError: images are missing or of different sizes, names do not pair, or the
                 intrinsics do not fit.
         """
+        layout = find_layout(request.source) if request.color is None else None
+        if layout is not None:
+            request = _in_layout(request, layout)
         where = request.color or str(request.source)
         if request.intrinsics is None and request.known.cameras is None:
             raise errors.ToolkitError(
@@ -52,15 +60,18 @@ class FolderImporter:
         shared = request.depth is not None and _same_folder(where, request.depth)
         color = list_images(where, COLOR_SUFFIXES, role="color", shared=shared)
         depth: dict[str, Path] = {}
+        seconds: dict[str, float] = {}
         if request.depth is not None:
             depth = list_images(request.depth, DEPTH_SUFFIXES, role="depth", shared=shared)
-            depth = pair(color, depth, skip_unpaired=request.skip_unpaired)
-            color = {k: p for k, p in color.items() if k in depth}
+            color, depth, seconds = paired(
+                color, depth, by=request.pair, skip_unpaired=request.skip_unpaired
+            )
         size = _common_size(color)
-        camera = _camera(request, size)
+        camera, stated = _camera(request, size)
         names = frame_names(list(color))
         warn_about_gaps(list(color))
-        scale = request.depth_scale or DEFAULT_DEPTH_SCALE
+        fixed = None if layout is None else layout.depth_scale
+        scale = request.depth_scale or stated or fixed or DEFAULT_DEPTH_SCALE
         frames = tuple(
             SourceFrame(
                 id=i,
@@ -74,25 +85,52 @@ class FolderImporter:
                 )
                 if key in depth
                 else None,
+                timestamp=seconds.get(key),
             )
             for i, (key, path) in enumerate(color.items())
         )
-        has_units = any(p.suffix.lower() == ".png" for p in depth.values())
+        has_units = any(p.suffix.lower() != ".exr" for p in depth.values())
         return Recording(
             source="import:folder",
             cameras={"color": camera},
             frames=frames,
             depth_scale=scale if has_units else None,
             depth_correction=request.depth_correction,
+            unit_origin="file" if stated is not None else "format" if fixed else "guess",
         )
 
 
 def _same_folder(color: str, depth: str) -> bool:
     # A pattern already selects the files.
     return (
-        not any(c in color + depth for c in "*?[")
+        not any(_is_pattern(text) for text in (color, depth))
         and Path(color).resolve() == Path(depth).resolve()
     )
+
+
+def _is_pattern(text: str) -> bool:
+    """Whether a text is a pattern; a folder that exists is none, whatever its name."""
+    return any(c in text for c in "*?[") and not Path(text).is_dir()
+
+
+def _in_layout(request: ImportRequest, layout: Layout) -> ImportRequest:
+    """The request with the folders and the intrinsics of a layout."""
+    log.logger.info("layout: %s, colour %s, depth %s", layout.kind, layout.color, layout.depth)
+    given = request.intrinsics
+    if given is None and layout.intrinsics is not None:
+        given = str(layout.intrinsics)
+    if layout.poses is not None and request.known.cameras is None:
+        log.logger.info(
+            "camera poses are here, not read: --cameras %s", layout.poses,
+            extra={"doctor": "ignored"},
+        )  # fmt: skip
+    if layout.kind in ("7scenes", "scannet"):
+        log.logger.warning(
+            "the depth of %s is that of another camera than the colour, a few pixels off",
+            layout.kind,
+        )
+    depth = layout.depth if request.depth is None else request.depth
+    return replace(request, color=layout.color, depth=depth, intrinsics=given)
 
 
 def _common_size(color: dict[str, Path]) -> tuple[int, int]:
@@ -109,15 +147,17 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
     return size
 
 
-def _camera(request: ImportRequest, size: tuple[int, int]) -> Camera:
+def _camera(request: ImportRequest, size: tuple[int, int]) -> tuple[Camera, float | None]:
+    """The camera, and the unit of depth that its file states."""
     if request.intrinsics is not None:
         given = request.intrinsics
-        intrinsics = read_intrinsics(given, size=size)
+        intrinsics = read_intrinsics(given, size=size, camera=request.camera)
     else:
         given = str(request.known.cameras)
         intrinsics = _filed_intrinsics(given)
     intrinsics = with_distortion(intrinsics, request.distortion)
-    return intrinsics.camera(size, path=given, off_centre=request.off_centre)
+    camera = intrinsics.camera(size, path=given, off_centre=request.off_centre)
+    return camera, intrinsics.depth_scale
 
 
 def _filed_intrinsics(path: str) -> Intrinsics:
@@ -131,6 +171,8 @@ def _filed_intrinsics(path: str) -> Intrinsics:
             path=path,
             hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
         )
+    for note in lens.notes:
+        log.logger.info("%s", note)
     return lens
 
 
@@ -165,7 +207,7 @@ def list_images(
         ToolkitError: no such folder, no images in it, or two images of one frame.
     """
     folder = Path(where)
-    if any(c in where for c in "*?["):
+    if _is_pattern(where):
         parent, pattern = folder.parent, folder.name
         paths = [p for p in _listed(parent, role) if p.match(pattern)]
     else:
@@ -204,38 +246,6 @@ def _listed(folder: Path, role: str) -> list[Path]:
     if not folder.is_dir():
         raise errors.ToolkitError(f"no such folder of {role} images", path=folder)
     return [p for p in folder.iterdir() if p.is_file()]
-
-
-def pair(
-    color: dict[str, Path], depth: dict[str, Path], *, skip_unpaired: bool = False
-) -> dict[str, Path]:
-    """Depth path of every colour key.
-
-    Raises:
-        ToolkitError: a frame lacks its colour or its depth (unless `skip_unpaired`).
-    """
-    no_depth = [k for k in color if k not in depth]
-    no_color = [k for k in depth if k not in color]
-    if (no_depth or no_color) and not skip_unpaired:
-        problems = [
-            f"{len(keys)} without {what}: {', '.join(keys[:5])}{' ...' if len(keys) > 5 else ''}"
-            for keys, what in ((no_depth, "depth"), (no_color, "colour"))
-            if keys
-        ]
-        raise errors.ToolkitError(
-            "colour and depth do not pair by name: " + "; ".join(problems),
-            path=next(iter(depth.values())).parent,
-            hint="fix the names, or skip these frames with --skip-unpaired",
-        )
-    paired = {k: depth[k] for k in color if k in depth}
-    if not paired:
-        raise errors.ToolkitError(
-            "no colour image has a depth image with the same name",
-            path=next(iter(color.values())).parent,
-        )
-    if no_depth or no_color:
-        log.logger.warning("skipped %d frames without a partner", len(no_depth) + len(no_color))
-    return paired
 
 
 def frame_names(keys: list[str]) -> dict[str, str]:

@@ -1,9 +1,10 @@
 """Files of one imported frame: checked, converted where needed, else copied or linked."""
 
 import errno
+import filecmp
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, Undistortion
 from std_toolkit.importers import foreign_files, importer
+from std_toolkit.importers.depth_files import Missing, read_foreign_depth
 from std_toolkit.io import exr, images
+from std_toolkit.io.tiff import TIFF_SUFFIXES, read_tiff, tiff_size
 from std_toolkit.options import LinkMode
 from std_toolkit.scene import Frame
 
@@ -35,6 +38,7 @@ def write_frame(
     undistortions: dict[str, Undistortion],
     depth_scale: float | None,
     link: LinkMode,
+    missing: Missing | None = None,
 ) -> WrittenFrame:
     """Check the images of a frame and write them into the scene.
 
@@ -45,6 +49,7 @@ def write_frame(
         undistortions: by camera id, of those whose images are undistorted.
         depth_scale: metres per unit of the scene's 16-bit depth.
         link: "copy" images, or "hard"- or "sym"-link those that need no conversion.
+        missing: which numbers of the depth are no measurement.
 
     Raises:
         ToolkitError: an image is damaged, has another size, or depth has no unit.
@@ -55,7 +60,7 @@ def write_frame(
     depth = None
     median: float | None = None
     if frame.depth is not None:
-        depth, median = _write_depth(frame.depth, root, size, depth_scale, link, lens)
+        depth, median = _write_depth(frame.depth, root, size, depth_scale, link, lens, missing)
     for extra in frame.reference:
         _write_reference(extra, root, size, link)
     row = Frame(
@@ -76,9 +81,15 @@ def _write_color(
     link: LinkMode,
     lens: Undistortion | None = None,
 ) -> str:
-    if file.resize or lens is not None:
+    is_tiff = file.source.suffix.lower() in TIFF_SUFFIXES
+    if file.resize or lens is not None or is_tiff:
         target = file.target + ".png"
-        image: Any = images.read_color(file.source, size=None if file.resize else size)
+        wanted = None if file.resize else size
+        image: Any = (
+            _grey_tiff(file.source, wanted)
+            if is_tiff
+            else images.read_color(file.source, size=wanted)
+        )
         if file.resize:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         if lens is not None:
@@ -92,6 +103,28 @@ def _write_color(
     return target
 
 
+def picture_size(path: Path) -> tuple[int, int]:
+    """(width, height) of a PNG, JPEG, EXR or TIFF from its header.
+
+    Raises:
+        ToolkitError: it is none of them, or damaged.
+    """
+    return tiff_size(path) if path.suffix.lower() in TIFF_SUFFIXES else images.image_size(path)
+
+
+def _grey_tiff(path: Path, size: tuple[int, int] | None) -> Any:
+    """(H, W, 3) of a TIFF of 8 bits, in which BOP's data set ITODD has its grey images."""
+    grey = read_tiff(path)
+    if grey.dtype != np.uint8:
+        raise ToolkitError("colour must be 8-bit", path=path, value=str(grey.dtype))
+    if size is not None and (grey.shape[1], grey.shape[0]) != size:
+        raise ToolkitError(
+            f"image size differs from that of the camera, {size[0]}x{size[1]}", path=path,
+            value=f"{grey.shape[1]}x{grey.shape[0]}",
+        )  # fmt: skip
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
 def _write_depth(
     file: importer.SourceFile,
     root: Path,
@@ -99,10 +132,13 @@ def _write_depth(
     scene_scale: float | None,
     link: LinkMode,
     lens: Undistortion | None = None,
+    missing: Missing | None = None,
 ) -> tuple[str, float | None]:
-    depth = foreign_files.read_foreign_depth(file.source, size=size)
+    if missing is not None:  # files of one recording may have several units
+        missing = replace(missing, unit=file.depth_scale)
+    depth = read_foreign_depth(file.source, size=size, missing=missing, two_bytes=file.two_bytes)
     values: Any = depth.values if lens is None else lens.depth(depth.values)
-    unit = 1.0
+    unit = 1.0 if missing is None else missing.float_unit
     if values.dtype == np.uint16:
         if file.depth_scale is None:
             raise ToolkitError(
@@ -133,7 +169,7 @@ def _write_reference(
         _write_color(file, root, size, link)
     elif file.kind == "depth":
         own = size if file.same_size else images.image_size(file.source)
-        depth = foreign_files.read_foreign_depth(file.source, size=own)
+        depth = read_foreign_depth(file.source, size=own)
         metres = depth.values
         if metres.dtype == np.uint16:
             metres = metres.astype(np.float32) * np.float32(file.depth_scale or 0.001)
@@ -165,5 +201,7 @@ def _place(source: Path, target: Path, link: LinkMode) -> None:
         target.symlink_to(source)
     else:
         shutil.copyfile(source, target)
+        if not filecmp.cmp(source, target, shallow=False):
+            raise ToolkitError("the copy differs from its source", path=source, hint="disk full?")
         with target.open("rb") as file:
             os.fsync(file.fileno())

@@ -6,14 +6,13 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Undistortion
 from std_toolkit.importers import foreign_files, importer
-from std_toolkit.importers.foreign_files import is_ros_recording
+from std_toolkit.importers.depth_survey import DepthFile, DepthSurvey, given_marks, survey_depth
 from std_toolkit.importers.frame_files import WrittenFrame, write_frame
-from std_toolkit.importers.options import ImportRequest
+from std_toolkit.importers.options import ImportRequest, check_depth_numbers
 from std_toolkit.io import atomic
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.log import logger
@@ -38,6 +37,8 @@ def write_recording(
     options: JobOptions | None = None,
     known: KnownCameras | None = None,
     undistort_fov: float | None = None,
+    depth_scale: float | None = None,
+    missing: str | None = None,
 ) -> Scene:
     """Make the scene `out` from a recording.
 
@@ -51,8 +52,11 @@ def write_recording(
         known: camera poses from elsewhere, which are checked and added.
         undistort_fov: horizontal field of view of the pinhole, degrees, which undistorts other
             lenses, too; None: see `Undistortion.of`.
+        depth_scale: metres per number of the depth images, where the user states it.
+        missing: numbers that mean no measurement, where the user states them.
 
     Raises:
+        GuessedUnit: the unit of depth was guessed, and another is more plausible.
         ToolkitError: an image is damaged or has the wrong size, depth is in another unit, or
             `out` exists. No files remain.
     """
@@ -73,6 +77,9 @@ def write_recording(
     )
     if options is None and len(recording.frames) < _SERIAL_BELOW:
         options = JobOptions(engine="serial")
+    survey = survey_recording(recording, stated=depth_scale, missing=missing)
+    if survey is not None:
+        survey.log()
     with atomic.new_folder(out) as staging:
         job = partial(
             write_frame,
@@ -81,6 +88,7 @@ def write_recording(
             undistortions=undistortions,
             depth_scale=recording.depth_scale,
             link=link,
+            missing=None if survey is None else survey.missing,
         )
         report = run_jobs(
             job, recording.frames, name="import", key=lambda f: f.name, options=options
@@ -168,20 +176,38 @@ def _check_frames(recording: importer.Recording) -> None:
                 check_relative(file.target, field=f"frames[{i}]")
 
 
+def survey_recording(
+    recording: importer.Recording, *, stated: float | None = None, missing: str | None = None
+) -> DepthSurvey | None:
+    """What the depth images of a recording say; None without depth.
+
+    Raises:
+        ToolkitError: as `survey_depth`.
+    """
+    files = [
+        DepthFile(d.source, recording.cameras[f.camera].size, d.depth_scale, d.two_bytes)
+        for f in recording.frames
+        if (d := f.depth) is not None
+    ]
+    if not files:
+        return None
+    return survey_depth(
+        files,
+        origin="flag" if stated is not None else recording.unit_origin,
+        stated=stated,
+        marks=given_marks(missing),
+        correction=recording.depth_correction,
+        source=recording.depth_name or None,
+    )
+
+
 def _check_depth_unit(recording: importer.Recording, written: list[WrittenFrame]) -> None:
-    medians = [w.depth_median_m for w in written if w.depth_median_m is not None]
     sources = [f.depth.source for f in recording.frames if f.depth is not None]
     if not sources:
         return
-    if not medians:
+    if all(w.depth_median_m is None for w in written):
         raise ToolkitError("no depth image has a measurement", path=sources[0].parent)
-    foreign_files.check_unit(
-        float(np.median(medians)),
-        path=sources[0].parent,
-        depth_scale=recording.depth_scale,
-        by_flag=recording.source == "import:folder",
-    )
-    for row in written:
+    for row in written if recording.unit_origin != "flag" else ():
         if row.depth_median_m is not None and row.depth_median_m > _FARTHEST_FRAME_M:
             raise ToolkitError(
                 "the median depth of one frame is implausible: is it in another unit?",
@@ -221,28 +247,14 @@ def import_recording(
     """
     out = Path(out)
     atomic.check_vacant(out)
-    if request.depth_scale is not None and not 0 < request.depth_scale <= 1:
-        raise ToolkitError(
-            "must be metres per unit of the depth images, above 0 and at most 1",
-            field="--depth-scale",
-            value=request.depth_scale,
-            hint="millimetres: 0.001",
-        )
-    if not 0.8 < request.depth_correction < 1.25:
-        raise ToolkitError(
-            "must be between 0.8 and 1.25",
-            field="--depth-correction",
-            value=request.depth_correction,
-            hint="give a calibrated factor such as 0.98; --depth-scale sets the unit",
-        )
+    check_depth_numbers(request)
     if format_name is None:
-        separate = request.color is not None and not is_ros_recording(request.source)
-        format_name = "folder" if separate else importer.detect_format(request.source)
+        format_name = importer.format_of(request)
     with ExitStack() as stack:
         if format_name == "ros":
             workspace = stack.enter_context(atomic.temporary_folder(out))
             request, link = replace(request, workspace=workspace), "hard"
-        recording = importer.IMPORTERS.get(format_name).read(request)
+        recording = importer.read_recording(format_name, request)
         return write_recording(
             recording,
             out,
@@ -251,4 +263,6 @@ def import_recording(
             options=options,
             known=request.known,
             undistort_fov=request.undistort_fov,
+            depth_scale=request.depth_scale,
+            missing=request.missing,
         )

@@ -6,11 +6,14 @@ so that image checks, depth conversion and atomicity are the same for every form
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit import errors, plugins
+from std_toolkit.importers.depth_survey import UnitOrigin
+from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.scene.model import CameraPoses, Labels, Model, Object
 
@@ -36,6 +39,7 @@ class SourceFile:
         same_size: whether the file must have the camera's size.
         binary: whether every nonzero value of a mask becomes id 1.
         resize: whether a colour image is resized to the camera's size by area averaging.
+        two_bytes: whether a depth PNG may have its high and low bytes in green and red.
     """
 
     source: Path
@@ -46,6 +50,7 @@ class SourceFile:
     same_size: bool = True
     binary: bool = False
     resize: bool = False
+    two_bytes: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +94,8 @@ class Recording:
         cameras: of the images as recorded; those of lenses that a scene does not keep are
             undistorted by the writer.
         depth_scale: metres per unit of 16-bit depth in the scene; None if all depth is EXR.
+        unit_origin: who states the unit of depth.
+        depth_name: what the depth images are called in messages; their folder if empty.
     """
 
     source: str
@@ -96,6 +103,8 @@ class Recording:
     frames: tuple[SourceFrame, ...]
     depth_scale: float | None = None
     depth_correction: float = 1.0
+    unit_origin: UnitOrigin = "format"
+    depth_name: str = ""
     models: tuple[SourceModel, ...] = ()
     objects: tuple[Object, ...] = ()
     poses: CameraPoses | None = None
@@ -135,6 +144,60 @@ IMPORTERS: plugins.Registry[Importer] = plugins.Registry(
 )
 
 
+def read_recording(name: str, request: ImportRequest) -> Recording:
+    """What the importer of a format reads.
+
+    Raises:
+        ToolkitError: as `Importer.read`; an error of a plug-in names its file.
+    """
+    reader = IMPORTERS.get(name)
+    try:
+        recording = reader.read(request)
+        if not isinstance(recording, Recording):
+            raise TypeError(f"`read` returned {type(recording).__name__}, not a Recording")
+    except errors.ToolkitError:
+        raise
+    except Exception as error:
+        raise _of_plugin(name, reader, error) from error
+    return recording
+
+
+def _of_plugin(name: str, reader: Importer, error: Exception) -> Exception:
+    """The error of a plug-in in one line; that of an importer of the toolkit as it is."""
+    if type(reader).__module__.startswith("std_toolkit."):
+        return error
+    try:
+        file = inspect.getfile(type(reader))
+    except (OSError, TypeError):
+        file = name
+    return errors.ToolkitError(
+        f"the importer {name} failed: {type(error).__name__}: {error}",
+        path=file,
+        hint="an error of this plug-in; --debug prints the traceback",
+    )
+
+
+def _recognises(name: str, source: Path) -> bool:
+    reader = IMPORTERS.get(name)
+    try:
+        return bool(reader.recognises(source))
+    except errors.ToolkitError:
+        raise
+    except Exception as error:
+        raise _of_plugin(name, reader, error) from error
+
+
+def format_of(request: ImportRequest) -> str:
+    """The importer of a request without --format: "folder" for separate images.
+
+    Raises:
+        ToolkitError: as `detect_format`.
+    """
+    if request.color is not None and not is_ros_recording(request.source):
+        return "folder"
+    return detect_format(request.source)
+
+
 def detect_format(source: Path) -> str:
     """Detect the format of `source`.
 
@@ -143,7 +206,9 @@ def detect_format(source: Path) -> str:
     """
     if not source.exists():
         raise errors.ToolkitError("no such file or folder", path=source)
-    found = [name for name in IMPORTERS if IMPORTERS.get(name).recognises(source)]
+    found = [name for name in IMPORTERS if _recognises(name, source)]
+    if len(found) > 1 and "folder" in found:  # other formats, too, have folders of images
+        found.remove("folder")
     if len(found) == 1:
         return found[0]
     raise errors.ToolkitError(

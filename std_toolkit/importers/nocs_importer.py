@@ -47,7 +47,7 @@ class NocsImporter:
         stems = _stems(folder)
         size = image_size(folder / f"{stems[0]}_color.png")
         if request.intrinsics is not None:
-            given = intrinsics.read_intrinsics(request.intrinsics, size=size)
+            given = intrinsics.read_intrinsics(request.intrinsics, size=size, camera=request.camera)
             camera = given.camera(size, path=request.intrinsics, off_centre=request.off_centre)
         elif size == REAL275.size:
             camera = REAL275
@@ -99,6 +99,7 @@ def _frame(folder: Path, stem: str, index: int) -> importer.SourceFrame:
             target=f"depth/{stem}",
             kind="depth",
             depth_scale=DEPTH_SCALE,
+            two_bytes=True,
         ),
         reference=sidecar_recording.reference_files(stem, _maps(folder, stem)),
     )

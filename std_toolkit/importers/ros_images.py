@@ -29,9 +29,13 @@ _RGB: dict[str, tuple[int, int | None]] = {
     "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
     "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (1, cv2.COLOR_GRAY2RGB),
 }
-COLOR_ENCODINGS = (*_RGB, "jpeg", "png")
-DEPTH_ENCODINGS = ("16UC1", "32FC1", "16UC1 compressed", "32FC1 compressed")
+COLOR_ENCODINGS = (*(e for e in _RGB if e not in ("mono8", "8UC1")), "jpeg", "png")
+DEPTH_ENCODINGS = ("16UC1", "32FC1", "64FC1", "16UC1 compressed", "32FC1 compressed")
+GREY_ENCODINGS = ("mono8", "8UC1")
+_TYPES = {"16UC1": "u2", "32FC1": "f4", "64FC1": "f8"}
 _JPEG, _PNG = b"\xff\xd8", b"\x89PNG"
 
 # Largest difference of the stamps of a pair, as a fraction of the slower stream's period.
@@ -130,8 +134,8 @@ def _decoded(image: RosImage, source: Path) -> NDArray[Any]:
     """(h, w, 3) uint8 RGB, or depth as uint16 units or float32 metres."""
     if image.encoding in ("jpeg", "png"):
         return _unpacked(image, source, image.data, cv2.IMREAD_COLOR)
-    if image.encoding in ("16UC1", "32FC1"):
-        kind = np.dtype("u2" if image.encoding == "16UC1" else "f4")
+    if image.encoding in _TYPES:
+        kind = np.dtype(_TYPES[image.encoding])
         rows = _rows(image, source, kind.itemsize)
         values = np.ascontiguousarray(rows).view(
             kind.newbyteorder(">" if image.big_endian else "<")
@@ -151,7 +155,7 @@ def _decoded(image: RosImage, source: Path) -> NDArray[Any]:
         path=source,
         field=image.topic,
         value=image.encoding,
-        hint=f"supported: {', '.join((*COLOR_ENCODINGS, *DEPTH_ENCODINGS[:2]))}, compressedDepth",
+        hint=f"supported: {', '.join((*COLOR_ENCODINGS, *DEPTH_ENCODINGS[:3]))}, compressedDepth",
     )
 
 

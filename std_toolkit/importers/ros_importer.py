@@ -4,9 +4,10 @@ The recording contains colour, depth aligned to colour, and the camera's `camera
 written to files, JPEG and PNG as recorded; colour and depth are paired by their time stamps.
 """
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,16 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError, missing_extra
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.intrinsics import Intrinsics, listed_coefficients, model_of_file
+from std_toolkit.geometry.filed_cameras import camera_of_fields
+from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.intrinsics import read_intrinsics, told, with_distortion
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.ros_images import (
     COLOR_ENCODINGS,
     DEPTH_ENCODINGS,
+    GREY_ENCODINGS,
     RosImage,
     image_of,
     pair_stamps,
@@ -90,7 +93,9 @@ class RosImporter:
             color = _chosen(topics, request.color, "color", request.source)
             depth = None
             if request.depth is not None or any(
-                t.first.encoding in DEPTH_ENCODINGS for t in topics
+                t.first.encoding in DEPTH_ENCODINGS or _looks_like_depth(t)
+                for t in topics
+                if t is not color
             ):
                 near = color.first.frame_id
                 depth = _chosen(topics, request.depth, "depth", request.source, near=near)
@@ -101,6 +106,8 @@ class RosImporter:
         units = any(f.depth is not None and f.depth.source.suffix == ".png" for f in frames)
         with_depth = "" if depth is None else f", depth of {depth.name}"
         logger.info("colour of %s%s", color.name, with_depth)
+        for line in _not_taken(topics, color, depth):
+            logger.info("%s", line, extra={"doctor": "ignored"})
         if unpaired:
             logger.warning("%d images without a partner of the same time are left out", unpaired)
         return Recording(
@@ -109,6 +116,7 @@ class RosImporter:
             frames=tuple(frames),
             depth_scale=scale if units else None,
             depth_correction=request.depth_correction,
+            depth_name="" if depth is None else f"{request.source}: {depth.name}",
         )
 
 
@@ -189,7 +197,7 @@ def _chosen(
     kinds = COLOR_ENCODINGS if role == "color" else DEPTH_ENCODINGS
     fitting = [t for t in topics if t.first.encoding in kinds]
     if wanted is not None:
-        named = [t for t in fitting if wanted in (t.name, t.base)]
+        named = [t for t in [*fitting, *_on_request(topics, role)] if wanted in (t.name, t.base)]
         # Given the base, the recorded images are preferred to compressed ones.
         exact = [t for t in named if t.name == wanted] or named
         if not exact:
@@ -198,7 +206,7 @@ def _chosen(
                 path=source,
                 field=f"--{role}",
                 value=wanted,
-                hint=f"it has {', '.join(t.name for t in fitting) or 'none'}",
+                hint=f"it has {', '.join(f'{t.name} ({t.first.encoding})' for t in topics)}",
             )
         return exact[0]
     if near and (aligned := [t for t in fitting if t.first.frame_id == near]):
@@ -210,9 +218,43 @@ def _chosen(
     raise ToolkitError(
         f"no topic with {role} images" if not once else f"several topics have {role} images",
         path=source,
-        value=sorted(once) or [t.name for t in topics][:6],
-        hint=f"choose one with --{role} TOPIC" if once else f"record {role} images too",
+        value=sorted(once) or [f"{t.name} ({t.first.encoding})" for t in topics][:6],
+        hint=f"choose one with --{role} TOPIC" if once else _no_topic_hint(topics, role, kinds),
     )
+
+
+def _no_topic_hint(topics: list[ImageTopic], role: str, kinds: tuple[str, ...]) -> str:
+    grey = _on_request(topics, role)
+    if grey:
+        return f"grey images are taken as colour with --color {grey[0].name}"
+    return f"read are {', '.join(kinds)}"
+
+
+def _on_request(topics: list[ImageTopic], role: str) -> list[ImageTopic]:
+    """Topics that are taken only if the user names them: grey images as colour."""
+    return [t for t in topics if role == "color" and t.first.encoding in GREY_ENCODINGS]
+
+
+def _looks_like_depth(topic: ImageTopic) -> bool:
+    """Whether the name of a topic says depth, whatever its encoding."""
+    words = re.split(r"[/_]", topic.base.lower())
+    pictures = (*COLOR_ENCODINGS, *GREY_ENCODINGS)
+    return "depth" in words and topic.first.encoding not in pictures
+
+
+def _not_taken(
+    topics: list[ImageTopic], color: ImageTopic, depth: ImageTopic | None
+) -> Iterator[str]:
+    for topic in topics:
+        if topic not in (color, depth):
+            encoding = topic.first.encoding
+            if encoding in (*COLOR_ENCODINGS, *DEPTH_ENCODINGS):
+                why = "another topic is taken"
+            elif encoding in GREY_ENCODINGS:
+                why = "grey images are taken as colour only with --color TOPIC"
+            else:
+                why = "an encoding that is not supported"
+            yield f"topic {topic.name} ({encoding}) is not taken: {why}"
 
 
 def _check_aligned(color: ImageTopic, depth: ImageTopic, request: ImportRequest) -> None:
@@ -244,7 +286,7 @@ def _camera(reader: Any, color: ImageTopic, request: ImportRequest) -> Camera:
     size = color.first.decoded_size(request.source)
     given = request.intrinsics
     if given is not None:
-        intrinsics = read_intrinsics(given, size=size)
+        intrinsics = read_intrinsics(given, size=size, camera=request.camera)
     else:
         intrinsics, given = _camera_info(reader, color, request.source)
     intrinsics = with_distortion(intrinsics, request.distortion)
@@ -270,31 +312,22 @@ def _camera_info(reader: Any, color: ImageTopic, source: Path) -> tuple[Intrinsi
 
 def _intrinsics_of(info: Any, color: ImageTopic, source: Path, topic: str) -> Intrinsics:
     k = np.asarray(getattr(info, "k", getattr(info, "K", None)), float).reshape(3, 3)
+    fields: dict[str, Any]
     d = [float(x) for x in getattr(info, "d", getattr(info, "D", ()))]
     if is_rectified := "rect" in color.base.rpartition("/")[2]:  # image_rect_color
         k = np.asarray(getattr(info, "p", getattr(info, "P", None)), float).reshape(3, 4)[:, :3]
         d = []
+    fields = {"K": k.ravel().tolist(), "width": int(info.width), "height": int(info.height)}
+    if not is_rectified:
+        fields |= {"distortion_model": str(info.distortion_model), "D": d}
+    if not (info.width and info.height):
+        del fields["width"], fields["height"]
     try:
-        stated = {} if is_rectified else {"distortion_model": info.distortion_model}
-        model = model_of_file(stated, has_coefficients=any(d))
+        found = camera_of_fields(fields, source, name=topic)
     except ToolkitError as error:
-        raise ToolkitError(
-            "a lens model that is not supported",
-            path=source,
-            field=topic,
-            value=info.distortion_model,
-            hint="record the rectified images (image_rect_color)",
-        ) from error
-    size = (int(info.width), int(info.height))
-    return Intrinsics(
-        float(k[0, 0]),
-        float(k[1, 1]),
-        float(k[0, 2]),
-        float(k[1, 2]),
-        () if model == "opencv" and not any(d) else listed_coefficients(d, model),
-        size if all(size) else None,
-        model,
-    )
+        hint = "record the rectified images (image_rect_color)"
+        raise error.revised(hint=hint if "model" in error.problem else error.hint) from error
+    return told(replace(found, name=""), topic)
 
 
 def _frames(

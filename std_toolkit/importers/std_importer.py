@@ -148,7 +148,7 @@ class StdImporter:
         resized = color != depth and color[0] * depth[1] == color[1] * depth[0]
         size = depth if resized else color
         if request.intrinsics is not None:
-            given = intrinsics.read_intrinsics(request.intrinsics, size=size)
+            given = intrinsics.read_intrinsics(request.intrinsics, size=size, camera=request.camera)
             camera = given.camera(size, path=request.intrinsics, off_centre=request.off_centre)
             if request.distortion is not None:
                 intrinsics.parse_distortion(request.distortion)

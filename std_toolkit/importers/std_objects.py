@@ -12,6 +12,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, ransac_similarity, unproject_depth
 from std_toolkit.geometry.mesh import load_mesh, nocs_frame
 from std_toolkit.importers import foreign_files
+from std_toolkit.importers.depth_files import read_foreign_depth
 from std_toolkit.importers.importer import SourceModel
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import image_size, read_png
@@ -234,15 +235,15 @@ def fit_pose(maps: dict[str, Path], mask_id: int, camera: Camera) -> SE3 | None:
     if not {"depth", "mask", "nocs"} <= set(maps):
         return None
     size = image_size(maps["depth"])
-    depth = foreign_files.read_foreign_depth(maps["depth"], size=size).values
+    depth = read_foreign_depth(maps["depth"], size=size).values
     mask = foreign_files.read_mask_source(maps["mask"], size=size)
     picture = read_png(maps["nocs"], size=size)
-    chosen = (mask == mask_id) & (depth > 0)  # type: ignore[operator]
+    chosen = (mask == mask_id) & (depth > 0)
     if picture.ndim != 3 or picture.dtype != np.uint8 or chosen.sum() < _FEWEST_PIXELS:
         return None
     nocs = picture[chosen].astype(np.float64) / 255
     nocs[:, 2] = 1 - nocs[:, 2]
-    points = unproject_depth(depth, camera.resized(*size))[chosen]  # type: ignore[arg-type]
+    points = unproject_depth(depth, camera.resized(*size))[chosen]
     try:
         fit, inliers = ransac_similarity(nocs - 0.5, points, threshold_m=_INLIER_M)
     except ToolkitError:

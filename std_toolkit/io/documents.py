@@ -56,6 +56,7 @@ def read_document(path: Path | str, type_: type[T]) -> T:
 
 def decode_document(data: bytes, type_: type[T], *, path: Path | str | None = None) -> T:
     """As `read_document`, of bytes already read."""
+    data = data.removeprefix(b"\xef\xbb\xbf")  # a byte order mark
     try:
         document = msgspec.json.decode(data, type=type_)
         json.loads(data, object_pairs_hook=refuse_twice)

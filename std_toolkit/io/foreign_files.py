@@ -71,7 +71,7 @@ def read_json(path: Path, *, largest_bytes: int = _LARGEST_JSON_BYTES) -> Any:
     try:
         if path.stat().st_size > largest_bytes:
             raise ToolkitError("the JSON file is implausibly large", path=path)
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         return json.loads(text, object_pairs_hook=_unique_keys, parse_int=_plain_integer)
     except OSError as error:
         raise ToolkitError(f"cannot read the file: {error.strerror}", path=path) from error
@@ -110,7 +110,7 @@ def read_yaml(path: Path) -> Any:
     try:
         if path.stat().st_size > _LARGEST_YAML_BYTES:
             raise ToolkitError("the YAML file is implausibly large", path=path)
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         depth = 0
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         for event in yaml.parse(text, Loader=loader):

@@ -1,6 +1,8 @@
 """Image files: 8-bit colour, 16-bit depth, masks. Headers are checked before decoding pixels."""
 
+import io
 import os
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -9,14 +11,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io import atomic, exr, image_header
+from std_toolkit.log import logger
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 # How the lines of libjpeg begin, whose decoder goes on behind damage.
 _LIBJPEG = (b"Corrupt JPEG data", b"Premature end of JPEG", b"Invalid SOS", b"Inconsistent progr")
+_EXTRANEOUS = re.compile(r"(\d+) extraneous bytes? before marker 0xd9")
+# Of 297 flipped bits in the scan of a JPEG that left bytes over, none left fewer than 7.
+_FEW_BYTES = 4
+# Decoders round differently, grey levels.
+_DECODERS_DIFFER = 8
 _DECODING = threading.Lock()
 
 # Photographs and depth: half the time and the size of OpenCV's level 3.
@@ -191,7 +200,7 @@ def _decode(
         if header.format == "jpeg":
             with _decoder_warnings() as warnings:
                 image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
-            if warnings:
+            if warnings and not _is_benign(path, warnings, image, data):
                 raise ToolkitError(
                     "the JPEG file is damaged", path=path, value=warnings[0],
                     hint="copy or record it again",
@@ -203,6 +212,34 @@ def _decode(
     if image is None or image.shape[:2] != (header.height, header.width):
         raise ToolkitError("cannot decode the image", path=path, hint="the file is damaged")
     return image
+
+
+def _is_benign(
+    path: Path, warnings: list[str], image: NDArray[np.generic] | None, data: bytes
+) -> bool:
+    """Whether a decoder only met bytes between the parts of a file, which some cameras write.
+
+    They are padding, or a few, and a second decoder must find the same pixels.
+    """
+    counts = [match for line in warnings if (match := _EXTRANEOUS.search(line))]
+    if image is None or len(counts) != len(warnings):
+        return False
+    # A flipped bit, too, may leave bytes over, but more of them, and no padding.
+    padding = data[: data.rindex(b"\xff\xd9")][-max(int(m.group(1)) for m in counts) :]
+    if len(padding) > _FEW_BYTES and len(set(padding)) > 1:
+        return False
+    try:
+        with Image.open(io.BytesIO(data), formats=["JPEG"]) as second:
+            pixels = np.asarray(second.convert("RGB" if image.ndim == 3 else "L"))
+    except Exception:  # the decoders of Pillow raise many kinds of errors
+        return False
+    expected = pixels[..., ::-1] if image.ndim == 3 else pixels
+    if expected.shape != image.shape:
+        return False
+    if float(np.abs(expected.astype(np.int16) - image.astype(np.int16)).max()) > _DECODERS_DIFFER:
+        return False
+    logger.warning("%s: %s; its pixels are whole", path, warnings[0])
+    return True
 
 
 @contextmanager

@@ -14,7 +14,7 @@ The convention of the file is applied by `known_cameras`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3
-from std_toolkit.geometry.intrinsics import Intrinsics, named_lens
-from std_toolkit.io.documents import read_document
-from std_toolkit.io.foreign_files import read_npy
-from std_toolkit.log import logger
-from std_toolkit.poses.camera_table import FiledCameras, as_matrix, read_table
+from std_toolkit.geometry.filed_cameras import camera_of_fields
+from std_toolkit.geometry.intrinsics import Intrinsics
+from std_toolkit.io.foreign_files import read_json, read_npy
+from std_toolkit.poses.camera_table import FiledCameras, pose_or_lost, read_table
 
 # Keys of a JSON matrix, with the direction that the name states, if it states one.
 _MATRIX_KEYS = {
@@ -70,67 +68,28 @@ def _read(path: Path) -> FiledCameras:
     if suffix in (".pkl", ".pickle", ".pt", ".pth"):
         raise ToolkitError("pickled files are not read", path=path, hint="save the poses as .npy")
     if suffix == ".npy":
-        return FiledCameras(path=path, kind="matrices", matrices=_array(path))
+        return _array(path)
     if suffix in (".bin", ".db"):
         raise ToolkitError("give the folder of the COLMAP model", path=path)
     if suffix == ".json":
-        return _read_json(path, read_document(path, Any))
+        return _read_json(path, read_json(path, largest_bytes=_LARGEST_FILE_BYTES))
     with path.open("rb") as file:
-        if file.read(64).lstrip().startswith(b"{"):
-            return _read_json(path, read_document(path, Any))
+        if file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
+            return _read_json(path, read_json(path, largest_bytes=_LARGEST_FILE_BYTES))
     return read_table(path)
 
 
-def read_transform(path: Path, *, unit_in_m: float) -> SE3:
-    """Read one rigid transform, such as a hand-eye calibration; the result is in metres.
-
-    Text or .npy of 4x4 or 3x4 numbers, JSON with such a matrix or with `quaternion_wxyz` or
-    `quaternion_xyzw` and `translation`.
-
-    Raises:
-        ToolkitError: not found, or not one rigid transform.
-    """
-    if not path.is_file():
-        raise ToolkitError("file not found", path=path)
-    if path.suffix.lower() == ".json":
-        document = read_document(path, Any)
-        pose = _quaternion(path, document)
-        filed = _read_json(path, document).rigid() if pose is None else None
-        M = filed.matrices if filed is not None else np.asarray(pose)[None]
-    else:
-        filed = read_cameras(path)
-        M = filed.matrices
-    if len(M) != 1:
-        raise ToolkitError("expected one 4x4 matrix", path=path, value=f"{len(M)} matrices")
-    for repair in filed.repairs if filed is not None else ():
-        logger.warning("%s: %s", path, repair)
-    T = SE3.from_matrix(M[0])
-    return SE3(T.R, T.t * unit_in_m)
-
-
-def _quaternion(path: Path, document: Any) -> NDArray[np.float64] | None:
-    if not isinstance(document, Mapping):
-        return None
-    orders = [k for k in ("quaternion_wxyz", "quaternion_xyzw") if k in document]
-    moves = [k for k in document if k.startswith("translation")]
-    if len(orders) != 1 or len(moves) != 1:
-        return None
-    try:
-        q = np.asarray(document[orders[0]], dtype=np.float64).reshape(4)
-        t = np.asarray(document[moves[0]], dtype=np.float64).reshape(3)
-        return SE3.from_quat(np.roll(q, 1) if orders[0].endswith("xyzw") else q, t).matrix()
-    except (TypeError, ValueError, ToolkitError) as error:
-        raise ToolkitError("not a quaternion and a translation", path=path) from error
-
-
-def _array(path: Path) -> NDArray[np.float64]:
+def _array(path: Path) -> FiledCameras:
     values = np.asarray(read_npy(path), dtype=np.float64)
     if values.ndim < 2 or values.shape[-2:] not in ((4, 4), (3, 4)) or values.ndim > 3:
         raise ToolkitError(
             "camera poses are an array of 4x4 (or 3x4) matrices", path=path, value=values.shape
         )
     values = values.reshape(-1, *values.shape[-2:])
-    return np.array([as_matrix(m, path, f"[{i}]") for i, m in enumerate(values)])
+    found = _Rows(path)
+    for i, matrix in enumerate(values):
+        found.add("", matrix, f"[{i}]")
+    return found.filed("matrices")
 
 
 @dataclass
@@ -141,10 +100,15 @@ class _Rows:
     keys: list[str] = field(default_factory=list)
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
     lenses: list[Intrinsics | None] = field(default_factory=list)
+    lens_problem: ToolkitError | None = None
+    lost: set[int] = field(default_factory=set)
 
     def add(self, key: str, value: Any, at: str, lens: Intrinsics | None = None) -> None:
+        matrix, is_lost = pose_or_lost(value, self.path, at)
+        if is_lost:
+            self.lost.add(len(self.keys))
         self.keys.append(key)
-        self.matrices.append(as_matrix(value, self.path, at))
+        self.matrices.append(matrix)
         self.lenses.append(lens)
 
     def filed(
@@ -159,6 +123,8 @@ class _Rows:
             matrices=np.array(self.matrices),
             keys=self.keys if named else None,
             lenses=self.lenses,
+            lens_problem=self.lens_problem,
+            lost=frozenset(self.lost),
             convention=convention,
             unit=unit,
             **fields,
@@ -214,8 +180,7 @@ def _read_list(path: Path, rows: list[Any], where: str) -> FiledCameras:
                     hint=f"give the matrix as one of {', '.join(_MATRIX_KEYS)}",
                 )  # fmt: skip
             directions.add(_MATRIX_KEYS[keys[0]])
-            if row[keys[0]] is not None:
-                found.add(name, row[keys[0]], f"{at}.{keys[0]}")
+            found.add(name, row[keys[0]], f"{at}.{keys[0]}")
         else:
             found.add("", row, at)
     convention = directions.pop() if len(directions) == 1 else None
@@ -227,38 +192,33 @@ def _read_transforms(path: Path, document: Mapping[str, Any]) -> FiledCameras:
     for i, row in enumerate(document["frames"]):
         if not isinstance(row, Mapping) or "transform_matrix" not in row:
             raise ToolkitError("a frame without transform_matrix", path=path, field=f"frames[{i}]")
-        lens = _transforms_lens(path, {**document, **row}, i)
+        lens = None
+        try:
+            lens = _transforms_lens(path, {**document, **row}, i)
+        except ToolkitError as error:  # of interest only where no other intrinsics are given
+            found.lens_problem = found.lens_problem or error
         found.add(str(row.get("file_path", "")), row["transform_matrix"], f"frames[{i}]", lens)
     return found.filed("transforms", convention="camera-to-world-opengl", unit_is_open=True)
 
 
+# Keys of transforms.json that speak of a lens.
+_LENS_KEYS = ("fl_x", "fx", "K", "k1", "camera_model", "is_fisheye")
+
+
 def _transforms_lens(path: Path, row: Mapping[str, Any], i: int) -> Intrinsics | None:
-    if "fl_x" not in row:
+    if not any(key in row for key in _LENS_KEYS):
         return None
-    try:
-        size = (int(row["w"]), int(row["h"])) if "w" in row and "h" in row else None
-        model, k = named_lens(row, float)
-        if model == "opencv" and k[4:] == (0.0,):
-            k = k[:4]
-        # The principal point starts at the corner of the first pixel.
-        return Intrinsics(
-            fx=float(row["fl_x"]),
-            fy=float(row.get("fl_y", row["fl_x"])),
-            cx=float(row["cx"]) - 0.5,
-            cy=float(row["cy"]) - 0.5,
-            distortion=k,
-            size=size,
-            model=model,
-        )
-    except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=error.field, value=error.value, hint=error.hint
-        ) from error
-    except (TypeError, ValueError, KeyError) as error:
+    if not any(key in row for key in _LENS_KEYS[:3]):
         raise ToolkitError(
             "incomplete intrinsics: fl_x, fl_y, cx and cy are needed", path=path,
             field=f"frames[{i}]",
-        ) from error  # fmt: skip
+        )  # fmt: skip
+    fields = {k: v for k, v in row.items() if k not in ("frames", *_MATRIX_KEYS)}
+    camera = camera_of_fields(fields, path, name=f"frames[{i}]")
+    k = camera.intrinsics.distortion
+    if camera.intrinsics.model == "opencv" and k[4:] == (0.0,):
+        k = k[:4]
+    return replace(camera.intrinsics, distortion=k, notes=(f"{path}: {camera.lens}",))
 
 
 def _read_folder(folder: Path) -> FiledCameras:
@@ -278,6 +238,9 @@ def _read_folder(folder: Path) -> FiledCameras:
     found = _Rows(folder)
     directions: set[str | None] = set()
     for path in kinds[suffix]:
+        if not path.read_bytes()[:64].strip():
+            found.add(path.name, None, path.name)
+            continue
         one = _read(path)
         if len(one.matrices) != 1:
             raise ToolkitError(
@@ -285,8 +248,9 @@ def _read_folder(folder: Path) -> FiledCameras:
                 value=f"{len(one.matrices)} poses",
                 hint="to read one file of many poses, name the file",
             )  # fmt: skip
-        directions.add(one.convention)
-        found.add(path.name, one.matrices[0], path.name)
+        if not one.lost:
+            directions.add(one.convention)
+        found.add(path.name, None if one.lost else one.matrices[0], path.name)
     convention = directions.pop() if len(directions) == 1 else None
     return found.filed("matrices", convention=convention)
 
@@ -306,8 +270,9 @@ def _read_colmap(folder: Path) -> FiledCameras:
         image = model.image(number)
         try:
             lens = Intrinsics.of(from_colmap_camera(model.camera(image.camera_id)))
-        except ToolkitError as error:
-            raise ToolkitError(error.problem, path=folder, value=error.value) from error
+        except ToolkitError as error:  # of interest only where no other intrinsics are given
+            lens = None
+            found.lens_problem = found.lens_problem or error.revised(path=folder)
         pose = from_rigid3d(image.cam_from_world())
         found.add(image.name, pose.matrix(), image.name, lens)
     return found.filed("colmap", convention="world-to-camera", unit_is_open=True)

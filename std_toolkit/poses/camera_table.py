@@ -9,7 +9,7 @@ or a matrix   `m00` to `m33` (or to `m23`), row-major
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -55,10 +55,13 @@ class FiledCameras:
         keys: what names the image of each pose: file name, time stamp or number. None: the
             poses are in the order of the images.
         lenses: intrinsics of each pose where the file has them; may be empty.
+        lens_problem: why intrinsics that the file has cannot be used.
         convention: convention that the format fixes; None: the file does not state it.
         unit: unit that the format fixes.
         unit_is_open: such files are often in an arbitrary unit, so the user must name it.
         repairs: sentences on what `rigid` changed.
+        lost: rows that are no pose (not finite, zero or blank), which a tracker files for images
+            that it lost; their matrices are the identity.
     """
 
     path: Path
@@ -66,13 +69,19 @@ class FiledCameras:
     matrices: Array
     keys: list[str] | None = None
     lenses: Sequence[Intrinsics | None] = ()
+    lens_problem: ToolkitError | None = None
     convention: str | None = None
     unit: str | None = None
     unit_is_open: bool = False
     repairs: Sequence[str] = ()
+    lost: frozenset[int] = frozenset()
 
     def rigid(self) -> Self:
         """Return the poses with exact rotations and the last row 0 0 0 1."""
+        if len(self.lost) == len(self.matrices):
+            raise ToolkitError(
+                "the file has no camera poses: all are not finite or zero", path=self.path
+            )
         off = np.array([rotation_deviation(M) for M in self.matrices])
         rough = int((off > ROTATION_TOLERANCE).sum())
         w = self.matrices[:, 3, 3]
@@ -94,8 +103,10 @@ class FiledCameras:
         """Return the intrinsics that all poses share; None if the file has none.
 
         Raises:
-            ToolkitError: the intrinsics of the images differ.
+            ToolkitError: the intrinsics of the images differ, or cannot be used.
         """
+        if self.lens_problem is not None:
+            raise self.lens_problem
         lenses = [x for x in self.lenses if x is not None]
         if not lenses:
             return None
@@ -110,6 +121,36 @@ class FiledCameras:
                     "import the images of each camera as a scene",
                 )  # fmt: skip
         return lenses[0]
+
+
+def pose_or_lost(value: Any, path: Path, at: str) -> tuple[Array, bool]:
+    """Return the matrix of `as_matrix` and False, or the identity and True for a lost image.
+
+    A pose of an image that a tracker lost is null, blank, or has a number that is not finite or a
+    rotation of zeros.
+    """
+    if value is None or (isinstance(value, list | str) and not value):
+        return np.eye(4), True
+    try:
+        M = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        flat = list(_flat(value))
+        if flat and all(x is None or str(x).lower() in ("", "null", "none", "nan") for x in flat):
+            return np.eye(4), True
+        return as_matrix(value, path, at), False
+    if M.shape in ((4, 4), (3, 4), (16,), (12,)):
+        rows = M.reshape(-1, 4)[:3]
+        if not np.isfinite(rows).all() or not rows[:, :3].any():
+            return np.eye(4), True
+    return as_matrix(M, path, at), False
+
+
+def _flat(value: Any) -> Iterator[Any]:
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from _flat(item)
+    else:
+        yield value
 
 
 def as_matrix(value: Any, path: Path, at: str) -> Array:
@@ -183,8 +224,11 @@ def read_table(path: Path) -> FiledCameras:
         rows = rows[1:]
     widths = {len(words) for _, words in rows}
     if widths == {4} and len(rows) == 3:
-        M = as_matrix(_numbers(path, [w for _, words in rows for w in words], "line 1"), path, "")
-        return FiledCameras(path=path, kind="matrices", matrices=M[None])
+        M, is_lost = pose_or_lost(
+            _numbers(path, [w for _, words in rows for w in words], "line 1"), path, ""
+        )
+        lost = frozenset({0} if is_lost else ())
+        return FiledCameras(path=path, kind="matrices", matrices=M[None], lost=lost)
     if widths == {4} and len(rows) % 4 == 0:
         rows = [
             (rows[i][0], [w for _, words in rows[i : i + 4] for w in words])
@@ -209,33 +253,42 @@ Rows = list[tuple[int, list[str]]]
 
 def _read_rows(path: Path, rows: Rows) -> FiledCameras:
     named = len(rows[0][1]) in (13, 17)
-    matrices = [
-        as_matrix(_numbers(path, words[named:], f"line {i}"), path, f"line {i}")
+    found = [
+        pose_or_lost(_numbers(path, words[named:], f"line {i}"), path, f"line {i}")
         for i, words in rows
     ]
     return FiledCameras(
         path=path,
         kind="matrices",
-        matrices=np.array(matrices),
+        matrices=np.array([M for M, _ in found]),
         keys=[words[0] for _, words in rows] if named else None,
+        lost=frozenset(i for i, (_, lost) in enumerate(found) if lost),
     )
 
 
 def _read_tum(path: Path, rows: Rows) -> FiledCameras:
-    matrices = []
+    matrices: list[Array] = []
+    lost: set[int] = set()
     for i, words in rows:
         tx, ty, tz, *xyzw = _numbers(path, words[1:], f"line {i}")
+        if not np.isfinite([tx, ty, tz, *xyzw]).all() or not any(xyzw):
+            lost.add(len(matrices))
+            matrices.append(np.eye(4))
+            continue
         matrices.append(_from_quat([xyzw[3], *xyzw[:3]], [tx, ty, tz], path, f"line {i}"))
     return FiledCameras(
         path=path,
         kind="tum",
         matrices=np.array(matrices),
         keys=[words[0] for _, words in rows],
+        lost=frozenset(lost),
     )
 
 
 def _read_par(path: Path, rows: Rows) -> FiledCameras:
-    matrices, lenses = [], []
+    matrices: list[Array] = []
+    lenses: list[Intrinsics] = []
+    lost: set[int] = set()
     for i, words in rows:
         at = f"line {i}"
         values = np.array(_numbers(path, words[1:], at))
@@ -244,7 +297,9 @@ def _read_par(path: Path, rows: Rows) -> FiledCameras:
             raise ToolkitError("K has skew or is no camera matrix", path=path, field=at)
         lenses.append(Intrinsics(K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
         M = np.column_stack([values[9:18].reshape(3, 3), values[18:21]])
-        matrices.append(as_matrix(M, path, at))
+        matrix, is_lost = pose_or_lost(M, path, at)
+        lost |= {len(matrices)} if is_lost else set()
+        matrices.append(matrix)
     return FiledCameras(
         path=path,
         kind="par",
@@ -252,6 +307,7 @@ def _read_par(path: Path, rows: Rows) -> FiledCameras:
         keys=[words[0] for _, words in rows],
         lenses=lenses,
         convention="world-to-camera",
+        lost=frozenset(lost),
     )
 
 
@@ -275,6 +331,8 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
         if all(not (row.get(c) or "").strip() for c in used):
             continue  # a frame without a pose
         values = _numbers(path, [row.get(c) or "" for c in used], at)
+        if _is_lost(values, rotation if not matrix else None):
+            continue
         matrices.append(_csv_matrix(values, rotation if not matrix else None, path, at))
         keys.append((row.get(key) or "").strip() if key else "")
     if not matrices:
@@ -284,6 +342,14 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
     )
 
 
+def _is_lost(values: list[float], rotation: tuple[str, ...] | None) -> bool:
+    if not np.isfinite(values).all():
+        return True
+    if rotation is None:
+        return not any(values[i] for i in (0, 1, 2, 4, 5, 6, 8, 9, 10))
+    return rotation == _QUATERNION and not any(values[3:])
+
+
 def _csv_matrix(
     values: list[float], rotation: tuple[str, ...] | None, path: Path, at: str
 ) -> Array:
@@ -291,8 +357,6 @@ def _csv_matrix(
         return as_matrix(values, path, at)
     if rotation == _QUATERNION:
         return _from_quat(values[3:], values[:3], path, at)
-    if not np.isfinite(values).all():
-        raise ToolkitError("a pose contains a number that is not finite", path=path, field=at)
     return SE3(so3_exp(values[3:]), np.array(values[:3])).matrix()
 
 

@@ -15,8 +15,9 @@ from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import digest_of
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
-from std_toolkit.poses.camera_file import read_cameras, read_transform
+from std_toolkit.poses.camera_file import read_cameras
 from std_toolkit.poses.camera_table import FiledCameras
+from std_toolkit.poses.hand_eye import read_transform
 from std_toolkit.scene import Frame
 
 _UNITS_IN_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "unknown": 1.0}
@@ -216,7 +217,9 @@ def read_known_poses(options: KnownCameras, frames: Sequence[Frame]) -> KnownPos
     filed = read_cameras(options.cameras)
     for repair in filed.repairs:
         logger.warning("%s: %s", filed.path, repair)
-    row = match_frames(filed, frames, max_dt=options.cameras_max_dt)
+    row = match_frames(
+        filed, frames, max_dt=options.cameras_max_dt, first_number=options.cameras_first
+    )
     lost = [f.name for f in frames if f.id not in row]
     if lost:
         logger.warning(
@@ -257,7 +260,11 @@ def convention_of(options: KnownCameras, filed: FiledCameras) -> Convention:
 
 
 def match_frames(
-    filed: FiledCameras, frames: Sequence[Frame], *, max_dt: float = 0.02
+    filed: FiledCameras,
+    frames: Sequence[Frame],
+    *,
+    max_dt: float = 0.02,
+    first_number: int | None = None,
 ) -> dict[int, int]:
     """Find the pose of each frame: by name, else time stamp, number in the name, or frame id.
 
@@ -267,6 +274,7 @@ def match_frames(
         filed: poses as filed.
         frames: frames of the scene.
         max_dt: largest difference of time stamps in seconds.
+        first_number: number of the pose of the first image, if the user states it.
 
     Returns:
         Row of `filed.matrices` by frame id, in the order of the frames.
@@ -283,7 +291,7 @@ def match_frames(
                 path=filed.path,
                 hint="one pose per image, or write the image's name before each pose",
             )
-        return {f.id: i for i, f in enumerate(frames)}
+        return {f.id: i for i, f in enumerate(frames) if i not in filed.lost}
     if len(set(keys)) < len(keys):
         twice = next(k for k in keys if keys.count(k) > 1)
         raise ToolkitError("two poses of one image", path=filed.path, value=twice)
@@ -292,10 +300,10 @@ def match_frames(
         _joined(frames, keys, lambda f: f.name, _stem),
         _joined(frames, keys, lambda f: _bare(f.name), lambda k: _bare(_stem(k))),
         _by_time(frames, keys, max_dt),
-        _joined(frames, keys, lambda f: _number(f.name), _number),
+        _by_number(frames, keys, first_number),
         _joined(frames, keys, lambda f: str(f.id), lambda k: k),
     ]
-    best = max(ways, key=len)
+    best = max(ways, key=len) if first_number is None else ways[4]
     if not best:
         raise ToolkitError(
             "no pose of this file belongs to an image of the scene", path=filed.path,
@@ -305,7 +313,55 @@ def match_frames(
     first = next(iter(best))
     shown = next(f.color for f in frames if f.id == first)
     logger.info("camera poses: pose %r belongs to %s", keys[best[first]], shown)
+    _refuse_from_one(filed, frames, best, first_number)
+    best = {frame: row for frame, row in best.items() if row not in filed.lost}
+    if not best:
+        raise ToolkitError("no image of the scene has a pose in this file", path=filed.path)
     return best
+
+
+def _refuse_from_one(
+    filed: FiledCameras, frames: Sequence[Frame], found: dict[int, int], first: int | None
+) -> None:
+    """Refuse poses that count from 1 for images that count from 0, joined by their numbers.
+
+    Raises:
+        ToolkitError: one pose per image, and each number but the last has an image.
+    """
+    if first is not None or filed.keys is None or len(filed.keys) != len(frames):
+        return
+    poses = {_number(key) for key in filed.keys}
+    images = {_number(f.name) for f in frames}
+    if "" in poses | images or len(poses) < len(frames) or len(images) < len(frames):
+        return
+    lowest, highest = (min(map(int, images)), max(map(int, images)))
+    by_number = all(
+        _number(filed.keys[row]) == _number(_name_of(frames, f)) for f, row in found.items()
+    )
+    if by_number and {int(n) for n in poses} == {int(n) + 1 for n in images}:
+        raise ToolkitError(
+            f"the pose of the last number, {highest + 1}, has no image, and image {lowest} has no "
+            "pose: counted from 1?",
+            path=filed.path,
+            value=filed.keys[0],
+            hint=f"--cameras-first {lowest + 1} takes pose {lowest + 1} for the first image, "
+            f"--cameras-first {lowest} takes the numbers as they are",
+        )
+
+
+def _name_of(frames: Sequence[Frame], frame: int) -> str:
+    return next(f.name for f in frames if f.id == frame)
+
+
+def _by_number(frames: Sequence[Frame], keys: Sequence[str], first: int | None) -> dict[int, int]:
+    """Join numbers in names; with `first`, the number of the pose of the first image."""
+    if first is None:
+        return _joined(frames, keys, lambda f: _number(f.name), _number)
+    numbers = [_number(f.name) for f in frames]
+    if "" in numbers:
+        return {}
+    step = first - min(map(int, numbers))
+    return _joined(frames, keys, lambda f: str(int(_number(f.name)) + step), _number)
 
 
 def _joined(

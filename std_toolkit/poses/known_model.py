@@ -58,6 +58,8 @@ class KnownPosesSettings(Settings):
     )
     """range of the factor between sensor depth and known camera poses; beyond it the unit is
     wrong"""
+    fewest_features: int = limit(16, source="a vocabulary has a word for eight descriptors")
+    """features of all keyframes without which not even unchecked poses are kept"""
 
 
 def reconstruct_known(
@@ -241,10 +243,13 @@ def _extract(
 
 
 def _describe(loaded: dict[int, Any], options: PoseOptions) -> tuple[Any, dict[int, Any]]:
-    if sum(len(x.descriptors) for x in loaded.values()) < 100:
+    count = sum(len(x.descriptors) for x in loaded.values())
+    fewest = KnownPosesSettings.current().fewest_features
+    if count < (fewest if options.known.cameras_unchecked else 100):
         raise errors.ToolkitError(
             "the images have almost no features, so the poses cannot be checked",
-            hint="put textured objects into view (a printed cloth is enough), focus, add light",
+            hint="put textured objects into view (a printed cloth is enough), focus, add light; or "
+            "keep the poses with --cameras-unchecked",
         )
     vocabulary = features.train_vocabulary(
         [x.descriptors for x in loaded.values()], seed=options.seed

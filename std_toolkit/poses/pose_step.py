@@ -79,6 +79,7 @@ def _run(
 ) -> tuple[CameraPoses, list[Path]]:
     from std_toolkit.poses.colmap import adjusted_cameras, place_in_world, quiet_colmap, scale_world
     from std_toolkit.poses.known_model import known_gates, known_scale, reconstruct_known
+    from std_toolkit.poses.lens_check import lens_gate, lens_shifts
     from std_toolkit.poses.publish import publish_model
     from std_toolkit.poses.reconstruct import reconstruct
     from std_toolkit.poses.scale_sources import ScaleContext, resolve_scale
@@ -125,6 +126,9 @@ def _run(
         source="sfm" if known is None else f"import:{known.filed.kind}",
         notes=notes,
     )
+    lens = lens_gate(lens_shifts(done.model, image_ids.values(), done.about.camera_ids))
+    if lens is not None:
+        poses = msgspec.structs.replace(poses, gates=[*poses.gates, lens])
     if done.about.explained is not None:
         explained = matches_gate(done.about.explained)
         poses = msgspec.structs.replace(poses, gates=[*poses.gates, explained])

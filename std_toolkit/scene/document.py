@@ -2,6 +2,7 @@
 
 import math
 import re
+import unicodedata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -124,8 +125,20 @@ def check_name(name: str, *, path: Path | str | None = None, field: str = "name"
 
 
 def safe_name(text: str) -> str:
-    """Return a safe name similar to `text`: other characters become '_'."""
-    name = re.sub(r"[^A-Za-z0-9._+-]+", "_", text).lstrip("._+-")[:128]
+    """Return a safe name similar to `text`: other characters become '_'.
+
+    Accents are left out; letters of other scripts become their number, so that different names
+    stay different.
+
+    >>> safe_name("Tasse é [1]"), safe_name("杯子")
+    ('Tasse_e_1_', 'u676fu5b50')
+    """
+    plain = "".join(
+        c if c.isascii() or not c.isalnum() else f"u{ord(c):x}"
+        for c in unicodedata.normalize("NFKD", text)
+        if not unicodedata.combining(c)
+    )
+    name = re.sub(r"[^A-Za-z0-9._+-]+", "_", plain).lstrip("._+-")[:128]
     return name or "unnamed"
 
 

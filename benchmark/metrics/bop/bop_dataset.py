@@ -13,7 +13,7 @@ from benchmark.metrics.bop.bop_distances import Project, fisheye624, pinhole
 from benchmark.metrics.bop.bop_model import BopModel, read_model
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.importers import bop_documents, foreign_files
+from std_toolkit.importers import bop_documents, depth_files
 from std_toolkit.importers.bop_documents import unchecked_pose
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.images import image_size
@@ -214,7 +214,7 @@ class BopDataset:
             path = tiff  # ITODD
         if not path.is_file():
             raise ToolkitError("VSD needs the image's depth", path=path)
-        return foreign_files.read_foreign_depth(path, size=size).values.astype(np.float32)
+        return depth_files.read_foreign_depth(path, size=size).values.astype(np.float32)
 
     def model(self, obj_id: int) -> BopModel:
         """A model, from models_eval/ where there is one, else models/.

@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh import UNITS_IN_M, decimate_mesh, load_mesh
+from std_toolkit.geometry.mesh import (
+    SECOND_READER,
+    UNITS_IN_M,
+    decimate_mesh,
+    load_mesh,
+)
+from std_toolkit.geometry.mesh_proof import check_copy
+from std_toolkit.geometry.obj_files import read_obj
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.images import image_size
-from std_toolkit.log import logger
 from std_toolkit.scene.document import safe_name
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -24,25 +28,40 @@ def plan_mesh_copy(source: Path, *, unit: str, faces: int | None = None) -> dict
     formats are copied unchanged, or rewritten if the unit is not metres. With `faces`, a mesh of
     more faces is decimated to this number and stored as PLY with vertex colours.
 
+    Textures are named by their content. The copy is loaded and compared with the mesh.
+
     Raises:
-        ToolkitError: `load_mesh` rejects the mesh, or the mesh refers to a file outside its folder
-            or to a file that is not an image.
+        ToolkitError: `load_mesh` rejects the mesh, the mesh refers to a file outside its folder or
+            to a file that is not an image, or the copy differs from the mesh.
     """
     # The copy keeps the text of an OBJ file, or vertex colours: corners are not needed.
     mesh = load_mesh(source, unit=unit, corners=False)
-    name = safe_name(source.name)
+    name = f"{safe_name(source.stem)}{source.suffix.lower()}"
     if faces is not None and len(mesh.faces) > faces:
         coarse = decimate_mesh(mesh, faces).export(file_type="ply")
         assert isinstance(coarse, bytes)
         return {f"{safe_name(source.stem)}.ply": coarse}
     if source.suffix.lower() == ".obj":
-        return _obj_files(source, name, UNITS_IN_M[unit])
-    if unit == "m" and source.suffix.lower() != ".gltf":
+        files = _obj_files(source, name, UNITS_IN_M[unit])
+        check_copy(files, mesh, source)
+        return files
+    if mesh.metadata.get(SECOND_READER):
+        plain = mesh.export(file_type="ply")
+        assert isinstance(plain, bytes)
+        files = {f"{safe_name(source.stem)}.ply": plain}
+        check_copy(files, mesh, source)
+        return files
+    # The texture of a PLY file is a file of its own, as those of glTF.
+    suffix = source.suffix.lower()
+    is_painted = suffix == ".ply" and getattr(mesh.visual, "kind", None) == "texture"
+    if unit == "m" and suffix != ".gltf" and not is_painted:
         return {name: source.read_bytes()}
     # GLB embeds its textures; trimesh writes it deterministically.
     data = mesh.export(file_type="glb")
     assert isinstance(data, bytes)
-    return {f"{safe_name(source.stem)}.glb": data}
+    files = {f"{safe_name(source.stem)}.glb": data}
+    check_copy(files, mesh, source)
+    return files
 
 
 def write_mesh_copy(folder: Path, files: dict[str, bytes]) -> Path:
@@ -57,26 +76,16 @@ def write_mesh_copy(folder: Path, files: dict[str, bytes]) -> Path:
 
 
 def _obj_files(source: Path, name: str, factor: float) -> dict[str, bytes]:
-    files: dict[str, bytes] = {name: b""}
-    lines = []
-    for line in source.read_text(encoding="utf-8", errors="surrogateescape").splitlines():
-        if factor != 1.0 and line.startswith(("v ", "v\t")):
-            line = _scaled(line, factor)
-        elif line.startswith("mtllib"):
-            material = _referenced(source, line[len("mtllib") :].strip())
-            if material is None:
-                continue
-            if material.suffix.lower() != ".mtl":
-                raise ToolkitError("not a material file", path=source, value=material.name)
-            target = safe_name(material.name)
-            files[target] = b""
-            textures, text = _material(material)
-            files.update(textures)
-            files[target] = text
-            line = f"mtllib {target}"
-        lines.append(line)
-    files[name] = ("\n".join(lines) + "\n").encode("utf-8", errors="surrogateescape")
-    return files
+    files = read_obj(source, strict=True)
+    data = files.data
+    if factor != 1.0:
+        text = data.decode("utf-8", "surrogateescape")
+        lines = [
+            _scaled(line, factor) if line.startswith(("v ", "v\t")) else line
+            for line in text.splitlines()
+        ]
+        data = ("\n".join(lines) + "\n").encode("utf-8", errors="surrogateescape")
+    return {name: data, **files.files}
 
 
 def _scaled(line: str, factor: float) -> str:
@@ -87,46 +96,3 @@ def _scaled(line: str, factor: float) -> str:
         return f"{head}{a}{s1}{b}{s2}{c}"
 
     return _VERTEX.sub(scale, line)
-
-
-def _material(path: Path) -> tuple[dict[str, bytes], bytes]:
-    textures: dict[str, bytes] = {}
-    lines = []
-    for line in path.read_text(encoding="utf-8", errors="surrogateescape").splitlines():
-        words = line.split(maxsplit=1)
-        keyword = words[0].lower() if words else ""
-        if keyword.startswith("map_") or keyword in ("bump", "disp", "decal", "norm"):
-            value = words[1].strip() if len(words) > 1 else ""
-            # Options such as "-s 1 1 1" precede the file name.
-            candidate = value if not value.startswith("-") else value.split()[-1]
-            texture = _referenced(path, candidate)
-            if texture is None:
-                continue
-            image_size(texture)
-            target = safe_name(texture.name)
-            textures[target] = texture.read_bytes()
-            line = line.replace(candidate, target)
-        lines.append(line)
-    return textures, ("\n".join(lines) + "\n").encode("utf-8", errors="surrogateescape")
-
-
-def _referenced(source: Path, text: str) -> Path | None:
-    """The file that a line of `source` names; None if it is missing.
-
-    Files outside the folder of the mesh are rejected, because an untrusted mesh could refer to any
-    file.
-    """
-    name = text.strip().strip('"').replace("\\", "/")
-    folder = source.parent.resolve()
-    path = (folder / name).resolve()
-    if not name or not path.is_relative_to(folder):
-        raise ToolkitError(
-            "the mesh refers to a file outside its folder",
-            path=source,
-            value=text,
-            hint="put materials and textures in the folder of the mesh",
-        )
-    if not path.is_file():
-        logger.warning("%s: %s is missing; the mesh is copied without it", source, text)
-        return None
-    return path

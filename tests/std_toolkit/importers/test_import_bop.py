@@ -224,3 +224,57 @@ def test_images_named_but_missing(dataset, tmp_path):
     with pytest.raises(ToolkitError, match=r"000011\.png"):
         run(dataset, tmp_path / "scene")
     assert not (tmp_path / "scene").exists()
+
+
+def renamed(dataset: Path, sensors: tuple[str, ...]) -> Path:
+    """The scene with several sensors, as IPD and XYZ-IBD have it; their images differ by 10."""
+    folder = dataset / "test/000048"
+    for kind in ("rgb", "depth"):
+        for i, sensor in enumerate(sensors):
+            target = folder / f"{kind}_{sensor}"
+            target.mkdir()
+            for path in (folder / kind).iterdir():
+                image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+                cv2.imwrite(str(target / path.name), np.minimum(image, 200 if i else 100))
+            if kind == "depth":
+                for path in (folder / kind).iterdir():
+                    cv2.imwrite(str(target / path.name), np.full((48, 64), 7000 + i, np.uint16))
+        for path in (folder / kind).iterdir():
+            path.unlink()
+        (folder / kind).rmdir()
+    for name in ("scene_camera", "scene_gt"):
+        for sensor in sensors:
+            text = (folder / f"{name}.json").read_text()
+            (folder / f"{name}_{sensor}.json").write_text(text)
+        (folder / f"{name}.json").unlink()
+    return folder
+
+
+def test_one_of_several_sensors(dataset, tmp_path):
+    folder = renamed(dataset, ("photoneo", "realsense"))
+    assert detect_format(folder) == "bop"
+    with pytest.raises(ToolkitError, match=r"2 sensors.*--camera: photoneo, realsense"):
+        run(dataset, tmp_path / "a")
+    with pytest.raises(ToolkitError, match=r"--camera: no such sensor.*photoneo"):
+        run(dataset, tmp_path / "a", camera="xyz")
+    scene = run(dataset, tmp_path / "a", camera="realsense")
+    assert scene.read_color(scene.frames[0]).max() == 200
+    assert scene.read_depth(scene.frames[0]).max() == np.float32(0.7001)
+    assert len(scene.objects.objects) == 3
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".tiff", ".jpeg", ".jpg"])
+def test_grey_images_of_any_suffix(dataset, tmp_path, suffix):
+    folder = dataset / "test/000048"
+    (folder / "rgb").rename(folder / "gray")
+    grey = np.full((48, 64), 90, np.uint8)
+    for path in list((folder / "gray").iterdir()):
+        cv2.imwrite(str(path.with_suffix(suffix)), grey)
+        path.unlink()
+        depth = folder / "depth" / path.name
+        if suffix.startswith(".ti"):
+            cv2.imwrite(str(depth.with_suffix(suffix)), np.full((48, 64), 7000, np.uint16))
+            depth.unlink()
+    scene = run(dataset, tmp_path / "scene")
+    assert np.abs(scene.read_color(scene.frames[0]).astype(int) - 90).max() <= 1
+    assert np.allclose(scene.read_depth(scene.frames[0]), 0.7)

@@ -128,12 +128,18 @@ def test_saturated_depth_becomes_zero(recording, tmp_path):
     assert depth[4, 4] == pytest.approx(0.7)
 
 
-@pytest.mark.parametrize(
-    ("scale", "problem"),
-    [(1.0, "plausible"), (0.0001, r"--depth-scale 0.0001.*0.001"), (0.1, "--depth-scale 0.1")],
-)
-def test_depth_in_other_units_is_refused(recording, tmp_path, scale, problem):
-    refused(tmp_path / "scene", problem, request(recording, depth_scale=scale))
+@pytest.mark.parametrize(("scale", "median"), [(0.0001, 0.0555), (0.02, 11.1)])
+def test_a_unit_that_the_user_states_is_not_questioned(recording, tmp_path, scale, median, caplog):
+    with caplog.at_level("INFO", "std_toolkit"):
+        scene = import_recording(request(recording, depth_scale=scale), tmp_path / "scene")
+    depth = scene.read_depth(scene.frames[5])
+    assert np.median(depth[depth > 0]) == pytest.approx(median, rel=0.05)
+    assert "stated by --depth-scale" in caplog.text
+
+
+def test_nothing_is_measured_beyond_65_m(recording, tmp_path):
+    words = r"--depth-scale: no depth image has a measurement nearer than 65 m"
+    refused(tmp_path / "scene", words, request(recording, depth_scale=1.0))
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), 1000.0])
@@ -144,7 +150,11 @@ def test_impossible_depth_scales_are_refused(recording, tmp_path, scale):
 def test_exr_depth_in_millimetres_is_refused(recording, tmp_path):
     for i in range(1, 11):
         write_exr(tmp_path / f"exr/{i}.exr", {"Y": np.full((48, 64), 700, np.float32)})
-    refused(tmp_path / "scene", "not to be in metres", request(recording, depth=f"{tmp_path}/exr"))
+    refused(
+        tmp_path / "scene",
+        "not to be in metres; --depth-scale 0.001",
+        request(recording, depth=f"{tmp_path}/exr"),
+    )
 
 
 def test_unaligned_depth_is_refused(recording, tmp_path):
@@ -305,3 +315,28 @@ def test_a_third_party_importer_is_found_by_its_path(recording, tmp_path, monkey
     )
     assert len(scene.frames) == 10
     refused(tmp_path / "x", "known: folder, std", request(recording), format_name="exotic")
+
+
+class Broken:
+    """A third party's importer with errors of its own."""
+
+    def __init__(self, fault):
+        self.fault = fault
+
+    def recognises(self, source):
+        return source is None
+
+    def read(self, asked):
+        if self.fault == "raises":
+            return {}["no such key"]
+        return [asked]
+
+
+@pytest.mark.parametrize("fault", ["raises", "returns a list"])
+def test_an_error_of_a_plug_in_names_its_file(recording, tmp_path, monkeypatch, fault):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "third_party", sys.modules[__name__])
+    monkeypatch.setattr(sys.modules[__name__], "BROKEN", Broken(fault), raising=False)
+    words = r"test_import_folder\.py: the importer third_party:BROKEN failed: (Key|Type)Error"
+    refused(tmp_path / "x", words, request(recording), format_name="third_party:BROKEN")

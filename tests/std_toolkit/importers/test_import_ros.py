@@ -207,7 +207,7 @@ def test_what_cannot_be_used_is_named(fault: str, tmp_path: Path) -> None:
     words = {
         "unaligned": "align_depth",
         "no info": "camera_info of the colour camera.*--intrinsics",
-        "fisheye": "lens model",
+        "fisheye": "distortion_model.*image_rect_color",
         "no images": "no images.*camera_info",
         "short": "another size",
         "mono": "no topic with color images",
@@ -240,3 +240,56 @@ def test_other_folders_are_no_recordings_of_ros(tmp_path: Path) -> None:
     write_png(tmp_path / "color.png", np.zeros((4, 4), np.uint8))
     assert not is_ros_recording(tmp_path / "color.png")
     assert read_color(tmp_path / "color.png").shape == (4, 4, 3)
+
+
+@pytest.mark.parametrize("encoding", ["8UC3", "mono8", "rgb16"])
+def test_a_colour_topic_that_is_not_taken_is_named_with_its_encoding(
+    encoding: str, tmp_path: Path
+) -> None:
+    pixels = color_image(0)[..., 0] if encoding == "mono8" else color_image(0)
+    with RosWriter(tmp_path / "rec") as out:
+        out.info(INFO, 100)
+        out.image(COLOR, 100, pixels.astype(np.uint16) if encoding == "rgb16" else pixels, encoding)
+        out.image(DEPTH, 100, depth_mm(0), "16UC1")
+    with pytest.raises(ToolkitError, match=rf"{COLOR} \({encoding}\)"):
+        imported(tmp_path / "rec")
+
+
+def test_grey_images_are_colour_on_request(tmp_path: Path) -> None:
+    with RosWriter(tmp_path / "rec") as out:
+        out.info(INFO, 100)
+        out.image(COLOR, 100, color_image(0)[..., 0], "mono8")
+        out.image(DEPTH, 100, depth_mm(0), "16UC1")
+    scene = imported(tmp_path / "rec", color=COLOR)
+    image = scene.read_color(scene.frames[0])
+    assert (image == color_image(0)[..., :1]).all()
+
+
+def test_depth_of_64_bits(tmp_path: Path) -> None:
+    with RosWriter(tmp_path / "rec") as out:
+        out.info(INFO, 100)
+        out.image(COLOR, 100, color_image(0), "rgb8")
+        out.image(DEPTH, 100, depth_mm(0).astype(np.float64) / 1000, "64FC1")
+    scene = imported(tmp_path / "rec")
+    assert np.allclose(scene.read_depth(scene.frames[0]), depth_mm(0) / 1000, atol=1e-6)
+
+
+def test_a_depth_topic_of_an_unknown_encoding_is_not_dropped(tmp_path: Path) -> None:
+    with RosWriter(tmp_path / "rec") as out:
+        out.info(INFO, 100)
+        out.image(COLOR, 100, color_image(0), "rgb8")
+        out.image("/camera/depth/image", 100, depth_mm(0).astype(np.int32), "32SC1")
+    with pytest.raises(ToolkitError, match=r"/camera/depth/image \(32SC1\)"):
+        imported(tmp_path / "rec")
+
+
+def test_floating_point_millimetres_name_the_topic_and_can_be_stated(tmp_path: Path) -> None:
+    with RosWriter(tmp_path / "rec") as out:
+        out.info(INFO, 100)
+        out.image(COLOR, 100, color_image(0), "rgb8")
+        out.image(DEPTH, 100, depth_mm(0).astype(np.float32), "32FC1")
+    with pytest.raises(ToolkitError, match=rf"rec: {DEPTH}: .*--depth-scale 0.001") as error:
+        imported(tmp_path / "rec")
+    assert ".tmp" not in str(error.value)
+    scene = imported(tmp_path / "rec", depth_scale=0.001)
+    assert np.allclose(scene.read_depth(scene.frames[0]), depth_mm(0) / 1000, atol=1e-6)

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.importers.folder_importer import frame_key, frame_names, list_images, pair
+from std_toolkit.importers.folder_importer import frame_key, frame_names, list_images
 from std_toolkit.importers.foreign_files import natural_key
+from std_toolkit.importers.pairing import Images, pair, paired
 
 
 @pytest.mark.parametrize(
@@ -79,3 +80,76 @@ def test_empty_and_missing_folders(tmp_path):
     image.touch()
     with pytest.raises(ToolkitError, match=r"not a folder of color images.*\*\.png"):
         list_images(str(image), (".png",), role="color")
+
+
+def images(folder: Path, *names: str) -> Images:
+    return list_images(str(touch(folder, *names)), (".png",), role="images")
+
+
+def names_of(found: tuple[Images, Images, dict[str, float]]) -> list[tuple[str, str]]:
+    color, depth, _ = found
+    return [(color[k].name, depth[k].name) for k in color]
+
+
+def test_numbers_with_and_without_zeros_are_the_same(tmp_path):
+    color = images(tmp_path / "rgb", *(f"{i}.png" for i in range(1, 12)))
+    depth = images(tmp_path / "depth", *(f"{i:04d}.png" for i in range(1, 12)))
+    assert names_of(paired(color, depth)) == [(f"{i}.png", f"{i:04d}.png") for i in range(1, 12)]
+    depth = images(tmp_path / "other", *(f"depth{i:04d}.png" for i in range(1, 12)))
+    assert len(names_of(paired(color, depth))) == 11
+    fewer = images(tmp_path / "fewer", *(f"{i:04d}.png" for i in range(1, 11)))
+    with pytest.raises(ToolkitError, match=r"do not pair by name.*--pair index"):
+        paired(color, fewer)
+
+
+def test_an_index_and_a_time_in_each_name_need_a_word(tmp_path):
+    color = images(tmp_path / "rgb", *(f"{i}-{33333 * i:012d}.png" for i in range(1, 5)))
+    depth = images(tmp_path / "depth", *(f"{i}-{33333 * i + 8000:012d}.png" for i in range(1, 5)))
+    with pytest.raises(ToolkitError, match="--pair index or --pair time"):
+        paired(color, depth)
+    for by in ("index", "time"):
+        assert [c[0] for c, _ in names_of(paired(color, depth, by=by))] == list("1234")
+    late = {k: p for k, p in depth.items() if not k.startswith("1")}
+    assert [(c[0], d[0]) for c, d in names_of(paired(color, late, by="time"))] == [
+        ("2", "2"), ("3", "3"), ("4", "4"),
+    ]  # fmt: skip
+    with pytest.raises(ToolkitError, match="4 colour and 3 depth"):
+        paired(color, late, by="index")
+
+
+def test_time_stamps_pair_with_the_nearest(tmp_path):
+    color = images(tmp_path / "rgb", *(f"1305031102.{i}75304.png" for i in (1, 3, 5)))
+    depth = images(tmp_path / "depth", *(f"1305031102.{i}90604.png" for i in (1, 3, 5)))
+    color_found, depth_found, seconds = paired(color, depth)
+    assert [p.name[11] for p in color_found.values()] == list("135")
+    assert [p.name[11] for p in depth_found.values()] == list("135")
+    assert next(iter(seconds.values())) == 1305031102.175304
+
+
+def test_lists_of_time_stamps_beside_the_folders(tmp_path):
+    color = images(tmp_path / "rgb", "a.png", "b.png")
+    depth = images(tmp_path / "depth", "x.png", "y.png", "z.png")
+    (tmp_path / "rgb.txt").write_text("# time name\n1.00 rgb/a.png\n1.10 rgb/b.png\n")
+    (tmp_path / "depth.txt").write_text("0.50 depth/x.png\n1.01 depth/y.png\n1.11 depth/z.png\n")
+    found = paired(color, depth, by="time")
+    assert names_of(found) == [("a.png", "y.png"), ("b.png", "z.png")]
+    assert found[2] == {"a": 1.0, "b": 1.1}
+    (tmp_path / "depth.txt").unlink()
+    with pytest.raises(ToolkitError, match=r"no time stamp.*rgb.txt"):
+        paired(color, depth, by="time")
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_associations(order, tmp_path):
+    color = images(tmp_path / "rgb", "1.1.png", "2.1.png", "3.1.png")
+    depth = images(tmp_path / "depth", "1.2.png", "3.2.png")
+    rows = [["1.1 rgb/1.1.png", "1.2 depth/1.2.png"], ["3.1 rgb/3.1.png", "3.2 depth/3.2.png"]]
+    text = "\n".join(" ".join(row[:: -1 if order else 1]) for row in rows)
+    (tmp_path / "associations.txt").write_text(text)
+    assert names_of(paired(color, depth)) == [("1.1.png", "1.2.png"), ("3.1.png", "3.2.png")]
+
+
+def test_an_existing_folder_is_no_pattern(tmp_path):
+    folder = touch(tmp_path / "rec [1]", "1.png", "2.png")
+    assert list(list_images(str(folder), (".png",), role="color")) == ["1", "2"]
+    assert list(list_images(str(folder / "*.png"), (".png",), role="color")) == ["1", "2"]

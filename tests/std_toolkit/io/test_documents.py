@@ -20,6 +20,7 @@ from std_toolkit.io.documents import (
     read_document,
     write_document,
 )
+from std_toolkit.io.foreign_files import read_json
 from std_toolkit.scene import CameraModel, CameraPoses, FramePose, Label, Labels
 
 IDENTITY = [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
@@ -113,7 +114,6 @@ MALFORMED = {
     "truncated": b'{"text": "a", "num',
     "trailing": b'{"text": "a"} {"text": "b"}',
     "not_utf8": b'{"text": "\xff\xfe"}',
-    "byte_order_mark": b"\xef\xbb\xbf{}",
     "utf16": '{"text": "a"}'.encode("utf-16"),
     "nan_literal": b'{"number": NaN}',
     "infinity_literal": b'{"number": -Infinity}',
@@ -213,3 +213,9 @@ def test_no_bytes_whatsoever_break_the_reader(data: bytes) -> None:
         decode_document(data, Note)
     except ToolkitError as error:
         assert "\n" not in str(error)
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_bytes(b"\xef\xbb\xbf" + b'{"a": [1, 2]}')
+    assert read_document(tmp_path / "a.json", Any) == {"a": [1, 2]}
+    assert read_json(tmp_path / "a.json") == {"a": [1, 2]}

@@ -337,3 +337,22 @@ def test_no_truncation_passes(tmp_path: Path, source: bytes, cut: float, extra: 
     path.write_bytes(source[: int(len(source) * cut)] + extra.replace(b"\xff", b""))
     with pytest.raises(ToolkitError):
         read_color(path)
+
+
+@pytest.mark.parametrize("stray", [b"\x00" * 4, b"\x00" * 40])
+def test_bytes_before_the_end_of_a_jpeg_are_a_warning(
+    stray: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Some cameras write a few; the pixels are whole."""
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    write_color(tmp_path / "a.jpg", image)
+    data = (tmp_path / "a.jpg").read_bytes()
+    expected = read_color(tmp_path / "a.jpg")
+    (tmp_path / "stray.jpg").write_bytes(data[:-2] + stray + data[-2:])
+    assert (read_color(tmp_path / "stray.jpg") == expected).all()
+    assert "extraneous bytes before marker" in caplog.text and "whole" in caplog.text
+    broken = bytearray(data)
+    broken[len(data) // 2 : len(data) // 2 + 40] = b"\x55" * 40
+    (tmp_path / "broken.jpg").write_bytes(bytes(broken))
+    with pytest.raises(ToolkitError, match=r"broken\.jpg"):
+        read_color(tmp_path / "broken.jpg")

@@ -13,7 +13,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.se3 import so3_log
 from std_toolkit.options import KnownCameras
-from std_toolkit.poses.camera_file import read_cameras, read_transform
+from std_toolkit.poses.camera_file import read_cameras
+from std_toolkit.poses.hand_eye import read_transform
 from std_toolkit.poses.known_cameras import match_frames, read_known_poses
 from std_toolkit.poses.trajectory import write_trajectory
 from std_toolkit.scene import CameraModel, CameraPoses, Frame, FramePose, Frames, Scene, SceneInfo
@@ -223,7 +224,7 @@ def test_the_unit_of_a_reconstruction_must_be_named(scene: Scene, tmp_path: Path
         ("a.txt", "1 2 3\n4 5 6\n", "unknown layout of camera poses: 3 columns"),
         ("a.txt", "1.png 0 0 0 0 0 0 2\n", "quaternion .* length 1"),
         ("a.txt", "1.png 0 0 x 0 0 0 1\n", "line 1.*not a number"),
-        ("a.txt", "1.png 0 0 nan 0 0 0 1\n", "line 1.*not finite"),
+        ("a.txt", "1.png 0 0 nan 0 0 0 1\n", "no camera poses: all are not finite or zero"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 2 0\n", "line 1.*not a rotation"),
         ("a.csv", "name,x,y,z\na,1,2,3\n", "columns do not hold a pose"),
         ("a.csv", "name,x,y,z,rx,ry,rz\na,1,2,3,0,0\n", "line 2.*not a number"),

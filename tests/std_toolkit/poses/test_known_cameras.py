@@ -77,7 +77,7 @@ def test_known_poses_are_kept_exactly(ring: Recording, tmp_path: Path) -> None:
         assert row.T_world_cam is not None and row.reprojection_px is not None
         assert np.abs(np.reshape(row.T_world_cam, (4, 4)) - T.matrix()).max() < 1e-9
         assert row.points > 50 and row.reprojection_px < 0.5 and row.covariance is not None
-    assert all(g.passed for g in poses.gates) and len(poses.gates) == 5
+    assert all(g.passed for g in poses.gates) and len(poses.gates) == 6
     assert poses.source == "import:matrices"
     assert poses.scale is not None and (poses.scale.unit, poses.scale.chosen) == ("metre", "given")
     # Sensor depth confirms the unit.

@@ -80,3 +80,12 @@ def test_what_passes_stays_inside_the_folder(text: str) -> None:
         return
     root = Path("/scene")
     assert (root / text).resolve().is_relative_to(root)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [("杯子", "u676fu5b50"), ("Tasse é", "Tasse_e"), ("rec [1]", "rec_1_"), ("..", "unnamed")],
+)
+def test_names_of_other_scripts_stay_different(text: str, name: str) -> None:
+    assert safe_name(text) == name
+    assert safe_name("碗") != safe_name("杯")

@@ -1,0 +1,144 @@
+"""Where the cameras of a foreign document are: its mappings with a focal length.
+
+What encloses a camera, and the sections beside and within it, add what they say of its lens.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from std_toolkit.geometry.filed_lens import plain_key
+
+MATRIX = (
+    "k", "camk", "cameramatrix", "intrinsicmatrix", "intrinsicsmatrix", "intrinsics", "intrinsic",
+    "mtx", "kmat", "kmatrix", "matrixk", "matk", "cameraintrinsics", "cameraintrinsic",
+    "intrinsicmat", "rgbintrinsic", "rgbintrinsics", "colorintrinsic", "colorintrinsics", "m",
+)  # fmt: skip
+SCALARS = {
+    "fx": ("fx", "flx", "focalx", "focallengthx", "mu", "alphax"),
+    "fy": ("fy", "fly", "focaly", "focallengthy", "mv", "alphay"),
+    "cx": ("cx", "ppx", "principalx", "principalpointx", "mx", "u0", "centerx"),
+    "cy": ("cy", "ppy", "principaly", "principalpointy", "my", "v0", "centery"),
+}
+FOCAL = ("focallength", "focal", "f", "focallengths", "focals", "fl")
+CENTRE = ("principalpoint", "center", "centre", "pp", "c", "opticalcenter")
+# Sections beside a camera that may speak of its lens.
+_OF_LENS = re.compile(r"dist|lens|camera|param|resolution|model|fisheye|mirror|size|rgbd|viewer")
+_SUFFIXED = re.compile(r"^(fx|fy|cx|cy|mx|my|ppx|ppy|k[1-6]|p[12])_([a-z]\w*)$")
+_PREFIXED = re.compile(r"^(\w*[a-z0-9])_(fx|fy|cx|cy|ppx|ppy|k[1-6]|p[12])$")
+_NUMBERED = re.compile(
+    r"^(K|M|D|mtx|[cC]amera_?[mM]atrix|CM|dist|[dD]ist_?[cC]oeffs?|distortion)_?"
+    r"([0-9]|left|right|Left|Right|L|R|l|r|color|rgb|depth|ir)$"
+)
+
+
+def expanded(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys such as Camera.fx, color_fx, fx_color and K1 become sections."""
+    found: dict[str, Any] = {}
+    groups: dict[str, dict[str, Any]] = {}
+    for key, value in data.items():
+        key = str(key)
+        flat = not isinstance(value, Mapping | list) and value is not None
+        if "." in key:
+            group, _, last = key.rpartition(".")
+            groups.setdefault(group, {})[last] = value
+        elif match := (_SUFFIXED if flat else _NUMBERED).match(key):
+            groups.setdefault(match.group(2), {})[match.group(1)] = value
+        elif (match := _PREFIXED.match(key)) and flat:
+            groups.setdefault(match.group(1), {})[match.group(2)] = value
+        else:
+            found[key] = value
+    for group, values in groups.items():
+        inner = found.get(group)
+        found[group] = {**inner, **values} if isinstance(inner, Mapping) else values
+    return found
+
+
+def _is_camera(data: Mapping[str, Any]) -> bool:
+    plain = {plain_key(k): v for k, v in data.items()}
+    if any(k in plain and is_filled(plain[k]) for k in MATRIX):
+        return True
+    if "params" in plain and "model" in plain:
+        return True
+    if any(k in plain and isinstance(plain[k], int | float | str) for k in SCALARS["fx"]):
+        return True
+    has_centre = any(k in plain for k in (*CENTRE, *SCALARS["cx"]))
+    return "cameraanglex" in plain or (has_centre and any(k in plain for k in FOCAL))
+
+
+def is_filled(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        inner = {plain_key(k): v for k, v in value.items()}
+        return isinstance(inner.get("data"), list)
+    return isinstance(value, list) and not _mappings(value)
+
+
+def _children(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    for key, value in data.items():
+        if isinstance(value, Mapping) and not is_filled(value):
+            yield key, value
+        elif rows := _mappings(value):
+            for i, row in enumerate(rows):
+                yield f"{key}[{i}]" if len(rows) > 1 else key, row
+
+
+def camera_sections(
+    document: Any, trail: str, above: Mapping[str, Any], depth: int = 0
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name and fields of every camera in a document."""
+    if isinstance(document, list):
+        document = {f"[{i}]": v for i, v in enumerate(_mappings(document))}
+    if not isinstance(document, Mapping) or depth > 12:
+        return
+    data = expanded(document)
+    inner = [(name, expanded(child)) for name, child in _children(data)]
+    own = {**above, **{k: v for k, v in data.items() if not isinstance(v, Mapping)}}
+    own |= {k: v for k, v in data.items() if isinstance(v, Mapping) and is_filled(v)}
+    own = {k: v for k, v in own.items() if not _is_rows(v)}
+    within = {name: list(camera_sections(child, "", {}, depth + 1)) for name, child in inner}
+    for name, child in inner:
+        if not within[name] and _OF_LENS.search(plain_key(name)):
+            own = {**_leaves(child), **own}
+    if _is_camera(data) or _is_camera(own):
+        rows = [c for n, c in inner if n.startswith("frames") and _speaks_of_lens(c)]
+        if rows:
+            for i, row in enumerate(rows):
+                yield joined(trail, f"frames[{i}]") or "", {**own, **row}
+        else:
+            yield trail, own
+        return
+    for name, child in inner:
+        if within[name]:
+            yield from camera_sections(child, joined(trail, name) or "", own, depth + 1)
+
+
+def _is_rows(value: Any) -> bool:
+    return bool(_mappings(value))
+
+
+def _mappings(value: Any) -> list[Mapping[str, Any]]:
+    """Sections in a list, or in its pairs of a number and a section, as OAK's cameras have it."""
+    rows = value if isinstance(value, list) else []
+    pairs = [r[1] if isinstance(r, list) and len(r) == 2 else r for r in rows]
+    return [r for r in pairs if isinstance(r, Mapping)]
+
+
+def _leaves(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a section and of its own sections."""
+    found: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping) and not is_filled(value):
+            found = {**_leaves(value), **found}
+        elif not _is_rows(value):
+            found[key] = value
+    return found
+
+
+def _speaks_of_lens(row: Mapping[str, Any]) -> bool:
+    plain = {plain_key(k) for k in row}
+    return bool(plain & {*SCALARS["fx"], *SCALARS["cx"], *MATRIX, "k1", "camera_model"})
+
+
+def joined(name: str, field: str | None) -> str | None:
+    """Names of nested sections with dots; None if there is none."""
+    return ".".join(filter(None, (name, field))) or None

@@ -1,0 +1,334 @@
+"""Cameras in the documents of other programs: intrinsics files, transforms.json, ROS, Kalibr, ...
+
+A document is plain values, whatever syntax it had. Every mapping in it with a focal length is a
+camera; what encloses it, and its sections, add the lens and the image size.
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera_models import MODELS
+from std_toolkit.geometry.camera_sections import (
+    CENTRE,
+    FOCAL,
+    MATRIX,
+    SCALARS,
+    camera_sections,
+    expanded,
+    is_filled,
+    joined,
+)
+from std_toolkit.geometry.filed_lens import FiledLens, plain_key
+from std_toolkit.geometry.intrinsics import Intrinsics
+
+_WIDTH = ("width", "w", "xres", "imagewidth", "imgwidth", "resx", "cols", "colorwidth")
+_HEIGHT = ("height", "h", "yres", "imageheight", "imgheight", "resy", "rows", "colorheight")
+_BOTH = ("resolution",)
+_COLOR = re.compile(r"(?<![a-z])(color|colour|rgb)(?![a-z])|^(color|colour|rgb)")
+# Metres per unit below 1, units per metre above 50; others are not clear.
+_DEPTH_UNIT = (
+    "depthmapfactor",
+    "pngdepthscale",
+    "depthscale",
+    "depthfactor",
+    "depthscaling",
+    "scale",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FiledCamera:
+    """A camera of a document.
+
+    Attributes:
+        name: the keys that lead to it; "" for that of the whole document.
+        intrinsics: as read, pixel centres at integers.
+        lens: sentence on the lens that was read.
+        depth_unit: metres per unit of depth images, and the key that states it.
+    """
+
+    name: str
+    intrinsics: Intrinsics
+    lens: str
+    depth_unit: tuple[float, str] | None = None
+
+
+def filed_cameras(
+    document: Any, path: Path, *, size: tuple[int, int] | None = None
+) -> list[FiledCamera]:
+    """All cameras of a document; equal ones once.
+
+    Args:
+        document: plain values: mappings and lists, or the numbers of a matrix.
+        path: its file, for errors.
+        size: image size, for documents that state only an angle of view.
+
+    Raises:
+        ToolkitError: no camera, or one that is incomplete or has a lens that is not supported.
+    """
+    if isinstance(document, list) and not any(isinstance(x, Mapping) for x in document):
+        document = {"K": document}
+    found: list[FiledCamera] = []
+    failed: list[ToolkitError] = []
+    for name, fields in camera_sections(document, "", {}):
+        try:
+            one = _camera(name, fields, size)
+        except ToolkitError as error:
+            failed.append(error.revised(path=path, field=joined(name, error.field)))
+            continue
+        if one.intrinsics not in [f.intrinsics for f in found]:
+            found.append(one)
+    if failed and (not found or not any(_COLOR.search(f.name) for f in found)):
+        raise failed[0]
+    if not found:
+        raise ToolkitError(
+            "intrinsics are incomplete", path=path, field="fx", hint="K, or fx fy cx cy"
+        )
+    return found
+
+
+def chosen_camera(found: Sequence[FiledCamera], path: Path, name: str | None) -> FiledCamera:
+    """The camera that a name selects; without one the only camera, or the only one of colour.
+
+    Raises:
+        ToolkitError: no such camera, or several could be meant.
+    """
+    names = [f.name or "file" for f in found]
+    if name is not None:
+        exact = [f for f, n in zip(found, names, strict=True) if n == name]
+        parts = [f for f, n in zip(found, names, strict=True) if name in n.split(".")]
+        if len(exact or parts) != 1:
+            raise ToolkitError(
+                "no such camera" if not (exact or parts) else "several cameras have this name",
+                path=path, field="--camera", value=name, hint=_some(names),
+            )  # fmt: skip
+        return (exact or parts)[0]
+    color = [f for f in found if _COLOR.search(f.name.lower())]
+    if len(found) > 1 and len(color) != 1:
+        raise ToolkitError(
+            f"the file has {len(found)} cameras", path=path,
+            hint=f"choose one with --camera NAME: {_some(names)}",
+        )  # fmt: skip
+    return found[0] if len(found) == 1 else color[0]
+
+
+def camera_of_fields(
+    fields: Mapping[str, Any], path: Path, *, name: str = "", size: tuple[int, int] | None = None
+) -> FiledCamera:
+    """The camera of one mapping, such as a frame of transforms.json with what encloses it.
+
+    Raises:
+        ToolkitError: as `filed_cameras`.
+    """
+    try:
+        return _camera(name, expanded(fields), size)
+    except ToolkitError as error:
+        raise error.revised(path=path, field=joined(name, error.field)) from error
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:12]) + (f" ... ({len(names)})" if len(names) > 12 else "")
+
+
+def _camera(name: str, fields: Mapping[str, Any], size: tuple[int, int] | None) -> FiledCamera:
+    plain: dict[str, tuple[str, Any]] = {}
+    for key, value in fields.items():
+        plain.setdefault(plain_key(key), (key, value))
+    if "params" in plain and "model" in plain:
+        return _of_colmap(name, plain)
+    lens_fields = _renamed_kannala(fields, plain)
+    # First: models with further parameters, such as Kalibr's omni, are refused by name.
+    lens = FiledLens(lens_fields, number)
+    stated_size = _size(plain)
+    found = _numbers(plain, stated_size or size)
+    intrinsics = replace(found, distortion=lens.coefficients, size=stated_size, model=lens.model)
+    return FiledCamera(
+        name=name,
+        intrinsics=intrinsics,
+        lens=lens_sentence(intrinsics, lens.keys),
+        depth_unit=_depth_unit(plain),
+    )
+
+
+def lens_sentence(intrinsics: Intrinsics, keys: Sequence[str]) -> str:
+    """What was read of a lens, for the user."""
+    if not any(intrinsics.distortion) and intrinsics.model == "opencv":
+        return "it states no distortion" if not keys else f"no distortion ({', '.join(keys)} is 0)"
+    values = " ".join(f"{k:.6g}" for k in intrinsics.distortion)
+    return f"{intrinsics.model} lens {values} (from {', '.join(keys)})"
+
+
+def _numbers(plain: Mapping[str, tuple[str, Any]], size: tuple[int, int] | None) -> Intrinsics:
+    for name in MATRIX:
+        if name in plain and is_filled(plain[name][1]):
+            key, value = plain[name]
+            return _of_matrix(_list(value, key), key)
+    values: dict[str, float] = {}
+    used: dict[str, str] = {}
+    for name, aliases in SCALARS.items():
+        alias = next((a for a in aliases if a in plain), None)
+        if alias is not None:
+            key, value = plain[alias]
+            values[name], used[name] = number(value, key), alias
+    for both, names in ((FOCAL, ("fx", "fy")), (CENTRE, ("cx", "cy"))):
+        alias = next((a for a in both if a in plain), None)
+        if alias is None or any(n in values for n in names):
+            continue
+        key, value = plain[alias]
+        pair = _list(value, key) if isinstance(value, list | Mapping) else [number(value, key)]
+        if (both is CENTRE and len(pair) != 2) or len(pair) > 2:
+            raise ToolkitError("must be two numbers", field=key, value=value)
+        values |= zip(names, (pair * 2)[:2], strict=True)
+        used |= dict.fromkeys(names, alias)
+    if "fx" not in values and "cameraanglex" in plain:
+        return _of_angle(plain, size, values)
+    if used.get("fx") == "flx" and "fy" not in values:
+        values["fy"] = values["fx"]
+    for name in SCALARS:
+        if name not in values:
+            raise ToolkitError("intrinsics are incomplete", field=name, hint="K, or fx fy cx cy")
+    # As in transforms.json, pixels count from the corner of the first one.
+    half = 0.5 if used["fx"] == "flx" else 0.0
+    return Intrinsics(values["fx"], values["fy"], values["cx"] - half, values["cy"] - half)
+
+
+def _of_angle(
+    plain: Mapping[str, tuple[str, Any]], size: tuple[int, int] | None, values: dict[str, float]
+) -> Intrinsics:
+    key, value = plain["cameraanglex"]
+    angle = number(value, key)
+    if size is None or not 0 < angle < math.pi:
+        raise ToolkitError(
+            "an angle of view, radians, needs the size of the image", field=key, value=value,
+            hint="give --intrinsics fx,fy,cx,cy",
+        )  # fmt: skip
+    f = size[0] / 2 / math.tan(angle / 2)
+    cx, cy = values.get("cx", size[0] / 2), values.get("cy", size[1] / 2)
+    return Intrinsics(f, f, cx - 0.5, cy - 0.5)
+
+
+def _of_colmap(name: str, plain: Mapping[str, tuple[str, Any]]) -> FiledCamera:
+    model = str(plain["model"][1]).upper()
+    params = _list(plain["params"][1], plain["params"][0])
+    kind = next((k for k, m in MODELS.items() if model in m.colmap), None)
+    table = {**{m: n for x in MODELS.values() for m, n in x.colmap.items()}}
+    table |= {"SIMPLE_PINHOLE": (1, 0), "PINHOLE": (2, 0)}
+    if model not in table:
+        raise ToolkitError(
+            "this model of COLMAP is not supported", field="model", value=model,
+            hint=f"one of {', '.join(table)}",
+        )  # fmt: skip
+    focals, count = table[model]
+    if len(params) != focals + 2 + count:
+        raise ToolkitError(
+            f"{model} has {focals + 2 + count} parameters", field="params", value=len(params)
+        )
+    k = list(params[focals + 2 :])
+    if kind == "fisheye" or k:
+        k += [0.0] * (4 - len(k))
+    lens = tuple(k) if kind == "fisheye" or any(k) else ()
+    found = Intrinsics(
+        params[0], params[focals - 1], params[focals] - 0.5, params[focals + 1] - 0.5,
+        lens, _size(plain), kind or "opencv",
+    )  # fmt: skip
+    return FiledCamera(
+        name=str(plain["cameraname"][1]) if "cameraname" in plain else name,
+        intrinsics=found,
+        lens=lens_sentence(found, [model]),
+        depth_unit=_depth_unit(plain),
+    )
+
+
+def _renamed_kannala(
+    fields: Mapping[str, Any], plain: Mapping[str, tuple[str, Any]]
+) -> Mapping[str, Any]:
+    """VINS-Fusion counts the coefficients of its KANNALA_BRANDT from k2 to k5."""
+    if "mu" not in plain or "k5" not in plain or "k1" in plain:
+        return fields
+    other = {f"k{i}": plain[f"k{i + 1}"][1] for i in range(1, 5) if f"k{i + 1}" in plain}
+    return {
+        **{k: v for k, v in fields.items() if not re.fullmatch("k[2-5]", plain_key(k))},
+        **other,
+    }
+
+
+def _of_matrix(values: list[float], field: str) -> Intrinsics:
+    if len(values) == 4:
+        fx, fy, cx, cy = values
+        return Intrinsics(fx, fy, cx, cy)
+    width = {9: 3, 12: 4, 16: 4}.get(len(values))
+    if width is None:
+        raise ToolkitError("K needs 9 numbers (3x3)", field=field, value=len(values))
+    K = [values[r * width :][:3] for r in range(3)]
+    if K[0][2] == K[1][2] == 0 and K[2][2] == 1 and K[2][0] and K[2][1]:
+        # Column by column, as Open3D and Record3D write it.
+        K = [list(row) for row in zip(*K, strict=True)]
+    if K[2] != [0, 0, 1] or K[1][0] != 0:
+        raise ToolkitError(
+            "this is not a camera matrix (its last row is 0 0 1)", field=field, value=K
+        )
+    if abs(K[0][1]) > 1e-6 * abs(K[0][0]):
+        raise ToolkitError("a skewed K is not supported", field=field, value=K[0][1])
+    return Intrinsics(K[0][0], K[1][1], K[0][2], K[1][2])
+
+
+def _size(plain: Mapping[str, tuple[str, Any]]) -> tuple[int, int] | None:
+    both = next((plain[k] for k in _BOTH if k in plain), None)
+    if both is not None and isinstance(both[1], list) and len(both[1]) == 2:
+        return int(number(both[1][0], both[0])), int(number(both[1][1], both[0]))
+    sides = [next((plain[a] for a in names if a in plain), None) for names in (_WIDTH, _HEIGHT)]
+    if sides[0] is None or sides[1] is None:
+        return None
+    width, height = (number(value, key) for key, value in filter(None, sides))
+    return int(width), int(height)
+
+
+def _depth_unit(plain: Mapping[str, tuple[str, Any]]) -> tuple[float, str] | None:
+    """Metres per unit of depth images, if a key states it clearly."""
+    for name in _DEPTH_UNIT:
+        key, value = plain.get(name, ("", None))
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        if 50 <= value <= 1e6:
+            return 1 / value, key
+        if name == "scale":
+            continue
+        if 0 < value <= 0.02:
+            return float(value), key
+        # BOP's depth_scale is in millimetres per unit.
+        if name == "depthscale" and {"fx", "fy", "cx", "cy"} <= plain.keys() and value <= 1:
+            return float(f"{value / 1000:.12g}"), key
+    return None
+
+
+def _list(value: Any, field: str) -> list[float]:
+    if isinstance(value, Mapping):
+        value = next((v for k, v in value.items() if plain_key(k) == "data"), None)
+    if not isinstance(value, list):
+        raise ToolkitError("must be a list of numbers", field=field, value=value)
+    flat: list[float] = []
+    for item in value:
+        flat.extend(_list(item, field) if isinstance(item, list) else [number(item, field)])
+    return flat
+
+
+def number(value: Any, field: str) -> float:
+    """A finite number of a document.
+
+    Raises:
+        ToolkitError: something else.
+    """
+    if not isinstance(value, bool) and isinstance(value, int | float):
+        try:
+            found = float(value)
+        except OverflowError:  # an integer of hundreds of digits
+            found = math.inf
+        if math.isfinite(found):
+            return found
+    shown = str(value)[:40] if isinstance(value, int) else value
+    raise ToolkitError("must be a finite number", field=field, value=shown)
