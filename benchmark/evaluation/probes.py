@@ -167,7 +167,7 @@ def probe_holes(
     for index, answer in restore_views(restorer, views).items():
         cut = cuts[index]
         seen = as_seen(restorer, cut.cut, answer, frames[index].color)
-        found[index] |= _with_nearest(cut, seen)
+        found[index] |= with_nearest(cut, seen)
     return found
 
 
@@ -192,7 +192,7 @@ def holes_elsewhere(
     for name, color, depth, camera in frames:
         cut = holes.cut_holes(depth, name, seed=seed)
         if cut is not None:
-            rows.append(_with_nearest(cut, restore(color, cut.cut, camera)))
+            rows.append(with_nearest(cut, restore(color, cut.cut, camera)))
     means = {
         name: _mean([row[name] for row in rows if not np.isnan(row[name])]) for name in holes.NAMES
     }
@@ -203,7 +203,7 @@ def _mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else float("nan")
 
 
-def _with_nearest(cut: holes.CutHoles, seen: NDArray[np.floating]) -> dict[str, float]:
+def with_nearest(cut: holes.CutHoles, seen: NDArray[np.floating]) -> dict[str, float]:
     """The figures of an answer, and those of the nearest pixel beside."""
     nearest = cut.errors(fill_nearest(cut.cut, cut.cut == 0))
     beside = {f"{name}_nearest": nearest[name] for name in ("holes", "holes_d105")}
