@@ -191,6 +191,24 @@ def _how(
     if config.get("copy_paste"):
         share = config["copy_paste"]
         rows.append(("copy-paste", f"objects of another frame into {share:g} of the frames"))
+    if config.get("clear_gone") or config.get("clear_behind"):
+        rows.append(
+            (
+                "glass and metal",
+                f"{config['clear_gone']:g} of the objects without sensor depth, "
+                f"{config['clear_behind']:g} with that of what is behind, drawn at every step",
+            )
+        )
+    if config.get("holes"):
+        rows.append(("holes anywhere", f"in {config['holes']:g} of the frames"))
+    if config.get("wrong_color"):
+        rows.append(
+            (
+                "wrong colour",
+                f"noise or another frame's in {config['wrong_color']:g} of the frames, answered by "
+                "the continuation of the sensor's depth",
+            )
+        )
     if config.get("batch_norm") == "recomputed":
         rows.append(("batch-norm statistics", f"recomputed over {BATCH_NORM_FRAMES} frames"))
     if config.get("beginning") and not note.earlier:
