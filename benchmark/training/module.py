@@ -10,6 +10,7 @@ import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
+from benchmark.data.frame import BACKGROUND
 from benchmark.training.config import TrainConfig, seed_of
 from benchmark.training.step import (
     Batch,
@@ -120,17 +121,19 @@ class RestorerTraining(pl.LightningModule):
     def _with_other_depth(self, inputs: ModelInput) -> ModelInput:
         """The frames with sensor depth as it may be, too, and with colour that says nothing."""
         config = self.config
-        if config.object_dropout:
-            from benchmark.training.augmentation.depth import drop_object_depth
+        if config.object_dropout or config.clear_gone or config.clear_behind:
+            from benchmark.training.augmentation import depth
 
-            maps = (inputs.batch[name] for name in ("true", "mask", "materials"))
-            changed = drop_object_depth(inputs.depth, *maps, config.object_dropout)
-            inputs = inputs._replace(depth=changed)
-        if config.clear_gone or config.clear_behind:
-            from benchmark.training.augmentation.depth import clear_depth
-
-            changed = clear_depth(inputs, config.clear_gone, config.clear_behind)
-            inputs = inputs._replace(depth=changed)
+            maps = [inputs.batch[name] for name in ("true", "mask", "materials")]
+            seen_through = config.object_dropout or config.clear_behind
+            objects = maps[1] != BACKGROUND
+            scene = depth.without_objects(maps[0], objects) if seen_through else None
+            if share := config.object_dropout:
+                changed = depth.drop_object_depth(inputs.depth, *maps, share, scene)
+                inputs = inputs._replace(depth=changed)
+            if config.clear_gone or config.clear_behind:
+                changed = depth.clear_depth(inputs, config.clear_gone, config.clear_behind, scene)
+                inputs = inputs._replace(depth=changed)
         if config.holes:
             from benchmark.training.augmentation.holes import cut_holes
 
