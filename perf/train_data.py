@@ -1,5 +1,9 @@
 """Reading packed frames for training against the raw data set: `python perf/train_data.py`.
 
+Also what augmentation costs: that of the shipped weights, then with the augmentations of depth and
+colour in which colour alone tells where glass is, too, and each of these alone, at 224x126 in
+batches of 16.
+
 Frames of DREDS (colour 1280x720, maps 640x360) at 224x224, in batches of 32. Processor time of one
 thread per frame, the least of several rounds, because the machine may be busy; the files are in
 the page cache. The goal is 400 frames a second on 2 cores: 5 ms of processor time per frame.
@@ -22,14 +26,17 @@ from torch.utils.data import DataLoader
 
 from benchmark.data.splits import open_split
 from benchmark.data.torch_dataset import DepthDataset
+from benchmark.training.config import Optimization, TrainConfig
 from benchmark.training.frame_order import BatchOrder, Steps
+from benchmark.training.module import RestorerTraining
 from benchmark.training.options import PackOptions
 from benchmark.training.pack import pack_split
 from benchmark.training.packed_frames import PackedFrames
-from benchmark.training.step import network_inputs, target_of
+from benchmark.training.step import model_input, network_inputs, target_of
 from std_toolkit.jobs import JobOptions
 
 SPLIT, SIZE, BATCH, ROUNDS = "dreds-catknown-test", (224, 224), 32, 5
+WIDE, AUGMENTED, BATCHES = (224, 126), 16, 4  # size, frames and batches of augmentation
 GOAL_MS = 5.0  # two cores, 400 frames a second
 
 
@@ -75,6 +82,49 @@ def in_processes(frames: PackedFrames, count: int) -> None:
     )
 
 
+# Shares that an augmented training has today, and what makes colour the only witness.
+TODAY = {"copy_paste": 0.2, "geometry": True, "colors": True, "object_dropout": 0.35}
+MORE = {"clear_gone": 0.35, "clear_behind": 0.35, "holes": 0.7, "wrong_color": 0.1}
+
+
+def augmentation(frames: PackedFrames) -> None:
+    """Times of augmented batches, those of alternatives by turns."""
+    batch = frames[list(range(AUGMENTED))]
+    inputs = model_input(batch)
+    chosen = {
+        "as of the shipped weights": TODAY,
+        "with all of depth and colour, too": TODAY | MORE,
+        **{f"{name} alone": {"colors": False, name: share} for name, share in MORE.items()},
+        "glass gone and seen through": {k: MORE[k] for k in ("clear_gone", "clear_behind")},
+    }
+    config = {"method": "swindrnet", "preset": "compact", "optimization": Optimization()}
+    config |= {"steps": 1, "validate_every": 1, "checkpoint_every": 1}
+    config |= {"training": "", "validation": ""}
+    made = {
+        title: RestorerTraining(
+            TrainConfig(**config | {"colors": False} | shares),  # type: ignore[arg-type]
+            torch.nn.Identity(),
+            None,  # type: ignore[arg-type]
+            None,
+            str,
+        )
+        for title, shares in chosen.items()
+    }
+    times: dict[str, list[float]] = {title: [] for title in made}
+    for repeat in range(ROUNDS + 1):
+        for title, module in made.items():
+            torch.manual_seed(repeat)
+            began = time.process_time()
+            for _ in range(BATCHES):
+                module._augmented(inputs)
+            times[title].append(1000 * (time.process_time() - began) / BATCHES / AUGMENTED)
+    # The first round warms up. Of the same draws the least time, because the machine may be busy.
+    least = {title: sum(sorted(t[1:])[:3]) / 3 for title, t in times.items()}
+    today = least["as of the shipped weights"]
+    for title, ms in least.items():
+        row(f"augmentation, {title}", ms, f"{ms / today:.2f} times")
+
+
 def main() -> None:
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
@@ -108,6 +158,11 @@ def main() -> None:
             fast = least_ms(partial(frames.__getitem__, chosen), BATCH)
             outcome = "reached" if fast <= GOAL_MS else "NOT reached"
             row(f"packed, {depth}", fast, f"{slow / fast:.0f} times as fast; goal {outcome}")
+        wide = top / "wide"
+        pack_split(
+            wide, SPLIT, top, PackOptions(size=WIDE, color="area"), JobOptions(engine="serial")
+        )
+        augmentation(PackedFrames([wide]))
         in_processes(PackedFrames([top / "float32"]), 1)
         in_processes(PackedFrames([top / "float32"]), 2)
 

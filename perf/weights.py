@@ -1,6 +1,7 @@
 """Shipped or given weights against the best filling, frame by frame.
 
     python perf/weights.py TEST=SPLIT:ROOT ... [--weights DIR] [--limit 60]
+    python perf/weights.py --recordings DIR ... [--weights DIR] [--limit 60]
 
 For each test: RMSE in mm and share of pixels within 5 % on specular and transparent pixels,
 protocol `strict`, of every filling and of SwinDRNet, NLSPN and DFNet; and how often good depth is
@@ -9,12 +10,16 @@ whose restored depth is more than 10 mm away, of the network's own map and of wh
 returns; the last also of the surroundings of the objects. Fewer than ten frames are listed one by
 one. DIR holds METHOD-compact.safetensors; without it, shipped weights. Weights are chosen
 elsewhere, by simulated validation scenes: this script only judges them.
+
+Recordings of scenes without glass and metal need no truth: holes are cut into their own depth, and
+the answer of `std-restore` is compared with what was measured there.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections import defaultdict
 from pathlib import Path
 
@@ -26,11 +31,16 @@ sys.path.insert(0, str(REPOSITORY))
 
 from benchmark.data.frame import DepthFrame, Material, resize_nearest  # noqa: E402
 from benchmark.data.splits import open_split  # noqa: E402
+from benchmark.evaluation.probes import holes_elsewhere  # noqa: E402
 from benchmark.methods.depth.full_size import restorer_view, to_full_size  # noqa: E402
-from benchmark.methods.protocol import Restorer  # noqa: E402
+from benchmark.methods.protocol import Restorer as MethodRestorer  # noqa: E402
 from benchmark.methods.registry import MethodOptions, make_restorer  # noqa: E402
+from benchmark.metrics.depth.holes import COLUMNS  # noqa: E402
 from benchmark.metrics.protocols.protocol import get_protocol  # noqa: E402
 from benchmark.metrics.protocols.score import score_frame  # noqa: E402
+from benchmark.restoring.recordings import open_recordings  # noqa: E402
+from benchmark.restoring.restorer import Restorer  # noqa: E402
+from std_toolkit.importers.options import ImageOptions  # noqa: E402
 
 FILLINGS = ("nearest", "telea", "navier-stokes", "joint-bilateral", "colorization", "planes")
 NETWORKS = ("swindrnet", "nlspn", "dfnet")
@@ -47,7 +57,7 @@ def spoiled(restored: np.ndarray, frame: DepthFrame, where: np.ndarray) -> tuple
     return int(good.sum()), int((np.abs(restored - true)[good] > SPOILED_M).sum())
 
 
-def rows_of(name: str, restorer: Restorer, frame: DepthFrame) -> dict[str, object]:
+def rows_of(name: str, restorer: MethodRestorer, frame: DepthFrame) -> dict[str, object]:
     protocol = get_protocol("strict")
     (answer,) = restorer.restore([restorer_view(frame, restorer)])
     found = {"method": name, "frame": frame.key}
@@ -66,9 +76,26 @@ def rows_of(name: str, restorer: Restorer, frame: DepthFrame) -> dict[str, objec
     return found
 
 
+def print_holes(source: Path, made: dict[str, MethodRestorer], limit: int) -> None:
+    """Errors in holes cut into the depth of a recording."""
+    with tempfile.TemporaryDirectory() as folder:
+        (recording,) = open_recordings([source], ImageOptions(), Path(folder))
+        count = min(limit, len(recording.frames))
+        chosen = [recording.frames[i * len(recording.frames) // count] for i in range(count)]
+        frames = [(f.name, *f.read(), f.camera) for f in chosen]
+    rows = []
+    for name, method in made.items():
+        restore = Restorer(method, MethodOptions()).restore_view
+        found = holes_elsewhere(lambda *view, restore=restore: restore(*view).depth, frames)
+        rows.append({"method": name, **{c.title: c.factor * found[c.name] for c in COLUMNS}})
+    print(f"\n{source}: {int(found['frames'])} of {count} frames with depth to cut holes into")
+    print(pd.DataFrame(rows).round(1).to_string(index=False))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("tests", nargs="+", metavar="TEST=SPLIT:ROOT")
+    parser.add_argument("tests", nargs="*", metavar="TEST=SPLIT:ROOT")
+    parser.add_argument("--recordings", nargs="+", type=Path, default=[])
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--limit", type=int, default=60)
     parser.add_argument("--methods", nargs="+", default=[*FILLINGS, *NETWORKS])
@@ -80,6 +107,8 @@ def main() -> None:
             continue
         given = own if name in NETWORKS else None
         made[name] = make_restorer(name, MethodOptions(preset="compact", weights=given or None))
+    for recording in args.recordings:
+        print_holes(recording, made, args.limit)
     for test in args.tests:
         title, _, where = test.partition("=")
         split, _, root = where.partition(":")

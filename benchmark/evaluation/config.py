@@ -122,6 +122,9 @@ class DepthConfig(FrameConfig):
     """folder of depth saved by --save-depth that replaces the sensor's"""
     save_depth: bool = False
     """keep the restored depth beside the results"""
+    probes: tuple[Literal["holes", "color"], ...] = field(default=(), metadata=_option("probe"))
+    """run the methods again: holes cut into depth that was right (once more a frame), or colour
+    replaced by noise and another frame's (five times more)"""
     speed: bool = True
     """the time that the methods take"""
     released_loader: Count | None = None
@@ -130,6 +133,15 @@ class DepthConfig(FrameConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.probes:
+            check_lists(self, "probes")
+            if self.depth_from is not None:
+                raise ToolkitError(
+                    "runs the methods again, which saved depth cannot",
+                    field="--probe",
+                    value=" ".join(self.probes),
+                    hint="leave out --depth-from",
+                )
         if self.released_loader is not None and self.protocols != ("paper",):
             raise ToolkitError(
                 "is for --protocol paper alone",

@@ -60,12 +60,14 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         batch_size: frames that are passed to the method together.
         depth_from: folder of the depth that replaces the sensor depth; empty for sensor depth.
         released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
+        probes: what the method was run again for: `holes`, `color`.
     """
 
     protocol: Name
     batch_size: int
     depth_from: str
     released_loader: int = 0
+    probes: list[str] = []
 
 
 class _Run(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -44,10 +44,13 @@ class Restored:
         depth: (h, w) float32 metres at the size of the view. What is not finite or not positive
             counts as no answer.
         confidence: (h, w) float32 in [0, 1], trust in the sensor's depth, of methods that have it.
+        spread: (h, w) float32 metres, the expected error (standard deviation) of `depth`, of
+            methods that have it.
     """
 
     depth: NDArray[np.float32]
     confidence: NDArray[np.float32] | None = None
+    spread: NDArray[np.float32] | None = None
 
 
 class Restorer(Protocol):

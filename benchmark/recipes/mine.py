@@ -8,14 +8,21 @@ from pathlib import Path
 from benchmark.data.splits import open_split
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.tasks.depth import Run
-from benchmark.evaluation.tasks.depth_results import RunResult, read_run, summarise
+from benchmark.evaluation.tasks.depth_results import (
+    RunResult,
+    read_run,
+    summarise,
+    summarise_seen,
+)
 from benchmark.methods.registry import MethodOptions, shipped_weights
+from benchmark.metrics.depth import harm
 from benchmark.recipes.frame_sets import FrameSet
 from benchmark.recipes.recipe_plan import Entry, Pack
 from benchmark.recipes.recipe_run import Trained, make_pack, scoring_devices, train
 from benchmark.training.options import BatchNormStatistics, MineOptions, TrainOptions
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError, check_known
+from std_toolkit.settings import Settings, limit
 
 PRESET = "compact"
 # Seeds of the scenes that are scored begin this far from those that are trained on.
@@ -24,6 +31,14 @@ _FEWEST_OBJECTS, _MOST_OBJECTS = 4, 8
 _HELD_OUT = 0.2
 # Size of the packs that the shipped weights were trained on.
 _PACK = (224, 126)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MineSettings(Settings):
+    """When fine-tuned weights are not recommended."""
+
+    harm: float = limit(0.01, source="what std-restore may spoil of good depth, in any place")
+    """larger harm than this, and than that of the shipped weights"""
 
 
 @dataclass(frozen=True)
@@ -54,6 +69,9 @@ class Score:
         frames: number of frames.
         before, after: means over frames, of the shipped and of the fine-tuned weights.
         interval_before, interval_after: 95 % intervals over scenes; not finite of one scene.
+        harm_before, harm_after: share of the pixels that the sensor had right and `std-restore`
+            makes wrong, where it is worst: on opaque objects, on the background or around glass
+            and metal; NaN if nobody can tell.
     """
 
     frames: int
@@ -61,6 +79,18 @@ class Score:
     after: float
     interval_before: tuple[float, float]
     interval_after: tuple[float, float]
+    harm_before: float = math.nan
+    harm_after: float = math.nan
+
+    @property
+    def drawback(self) -> str:
+        """In what the fine-tuned weights are worse than the shipped ones; empty if in nothing."""
+        allowed = max(self.harm_before, MineSettings.current().harm)
+        if not self.after < self.before:
+            return f"RMSE {1000 * self.before:.1f} mm before, {1000 * self.after:.1f} mm after"
+        if self.harm_after > allowed:
+            return f"harm {self.harm_before:.1%} before, {self.harm_after:.1%} after"
+        return ""
 
 
 @dataclass
@@ -80,6 +110,11 @@ class MineReport:
     trained: Trained
     scores: dict[str, Score] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def recommended(self) -> Path | None:
+        """The fine-tuned weights, or None where the shipped ones are better on any test set."""
+        return None if any(score.drawback for score in self.scores.values()) else self.weights
 
 
 def fine_tune(options: MineOptions) -> MineReport:
@@ -250,15 +285,16 @@ def _score(
 
 
 def _compared(before: RunResult, after: RunResult) -> Score:
-    figures = []
+    figures, harms = [], []
     for result in (before, after):
+        harms.append(float(summarise_seen(result.table)[list(harm.NAMES)].max(axis=1).iloc[0]))
         rows = summarise(result.table, samples=1000)
         row = rows[rows["subset"] == "all"].iloc[0]
         figures.append(
             (int(row["frames"]), float(row["rmse"]), (row["rmse_low"], row["rmse_high"]))
         )
     (count, rmse_before, low_high), (_, rmse_after, after_low_high) = figures
-    return Score(count, rmse_before, rmse_after, low_high, after_low_high)
+    return Score(count, rmse_before, rmse_after, low_high, after_low_high, *harms)
 
 
 def report_lines(report: MineReport, method: str) -> list[str]:
@@ -274,9 +310,14 @@ def report_lines(report: MineReport, method: str) -> list[str]:
             f"{_mm(score.after, score.interval_after)} after ({change:+.0f} %), "
             f"{score.frames} frames, holes counted as errors"
         )
+        if not math.isnan(score.harm_after):
+            lines[-1] += f"; harm {score.harm_before:.1%} before, {score.harm_after:.1%} after"
+    for name, score in report.scores.items():
+        if score.drawback:
+            lines.append(f"{name}: the shipped weights are better and stay: {score.drawback}")
+    weights = f"--weights {report.weights} " if report.recommended else ""
     lines.append(
-        f"next: std-restore RECORDING --method {method} --preset {PRESET} "
-        f"--weights {report.weights} --out restored/"
+        f"next: std-restore RECORDING --method {method} --preset {PRESET} {weights}--out restored/"
     )
     return lines
 

@@ -7,8 +7,15 @@ import numpy as np
 import pandas as pd
 
 from benchmark.data.splits import get_split, splits
+from benchmark.evaluation import probes
 from benchmark.evaluation.results import ERROR, FAILURES, INDEX
-from benchmark.evaluation.tasks.depth_results import OVER_ALL, OVER_ANSWERED, RunResult, summarise
+from benchmark.evaluation.tasks.depth_results import (
+    OVER_ALL,
+    OVER_ANSWERED,
+    RunResult,
+    summarise,
+    summarise_seen,
+)
 from benchmark.metrics.depth.figures import COVERAGE, FIGURES
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods
@@ -85,11 +92,11 @@ class Board:
 # split, protocol, grid, subset, method: key of the row. kind: MEASURED or PUBLISHED. Numbers of
 # frames and scenes included, and of failed frames. OVER_ALL with INTERVALS, OVER_ANSWERED. p_best:
 # corrected p of the comparison with the best measured method. Then cost. Then, for published rows,
-# source and training data.
+# source and training data. Last what a user sees of the method, the same in all of its rows.
 COLUMNS = (
     "split", "protocol", "grid", "subset", "method", "kind", "frames", "scenes", "failed",
     *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "parameters", "gmacs",
-    "peak_memory_mib", "hardware", "training_data", "table",
+    "peak_memory_mib", "hardware", "training_data", "table", *probes.NAMES,
 )  # fmt: skip
 
 
@@ -179,7 +186,9 @@ def make_board(
         )
     rows = pd.concat(parts, ignore_index=True)
     rows["kind"] = MEASURED
-    rows = rows.merge(_costs(results), on=["split", "protocol", "method"], how="left")
+    of_run = ["split", "protocol", "method"]
+    rows = rows.merge(_costs(results), on=of_run, how="left")
+    rows = rows.merge(summarise_seen(scored, by=of_run), on=of_run, how="left")
     if published:
         rows = pd.concat([rows, _published(rows)], ignore_index=True)
     return Board(rows.reindex(columns=list(COLUMNS)), tables, tuple(results))

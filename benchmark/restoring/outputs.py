@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from benchmark.evaluation.depth_panels import restored_strip
 from benchmark.evaluation.manifest import circumstances
 from benchmark.methods.registry import weights_digest
+from benchmark.metrics.depth.figures import tolerance
+from benchmark.metrics.depth.harm import WRONG
+from benchmark.metrics.depth.holes import right_without_truth
 from benchmark.restoring.options import DepthFormat, MethodChoice
 from benchmark.restoring.recordings import FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
@@ -111,6 +114,9 @@ class FrameRecord(Record, frozen=True, kw_only=True, forbid_unknown_fields=True)
         filled: share that the sensor did not measure and the method restored.
         replaced: share whose measurement was replaced.
         empty: share without depth.
+        smooth: share on smooth, near surfaces that the sensor measured whole
+            (`right_without_truth`).
+        smooth_moved: share of these that the method moved by more than twice max(3 mm, 1 %).
     """
 
     unit: float
@@ -119,6 +125,8 @@ class FrameRecord(Record, frozen=True, kw_only=True, forbid_unknown_fields=True)
     filled: float
     replaced: float
     empty: float
+    smooth: float = 0.0
+    smooth_moved: float = 0.0
 
 
 def _file(folder: str, suffix: str) -> property:
@@ -209,6 +217,8 @@ def write_frame(
         written.append(paths.picture)
         write_color(paths.picture, restored_strip(color, sensor, depth, restored.confidence))
     there = sensor > 0
+    smooth = right_without_truth(sensor)
+    moved = np.abs(depth[smooth] - sensor[smooth]) > WRONG * tolerance(sensor[smooth])
     record = FrameRecord(
         **msgspec.structs.asdict(artefact.record(written)),
         unit=unit,
@@ -217,6 +227,8 @@ def write_frame(
         filled=_share(~there & (depth > 0)),
         replaced=_share(there & changed & (depth > 0)),
         empty=_share(depth == 0),
+        smooth=_share(smooth),
+        smooth_moved=_share(moved) if moved.size else 0.0,
     )
     write_document(paths.record, record)
     return record

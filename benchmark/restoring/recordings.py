@@ -24,12 +24,13 @@ from std_toolkit.importers.depth_survey import (
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import (
+    IMPORTERS,
     Recording,
     SourceFile,
     detect_format,
     read_recording,
 )
-from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics, with_distortion
 from std_toolkit.importers.options import ImageOptions, ImportRequest, check_depth_numbers
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
 from std_toolkit.log import logger
@@ -129,7 +130,7 @@ def open_recordings(
     """
     check_depth_numbers(images)
     if not sources:
-        found = [_undistorted(_images(images), images.undistort_fov)]
+        found = [_undistorted(_images(images), images)]
     elif (images.color or images.depth) and not all(map(is_ros_recording, sources)):
         raise ToolkitError(
             "give either SOURCES or --color and --depth", field="--color", hint="not both"
@@ -153,7 +154,7 @@ def _recording(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
         raise ToolkitError("no such file or folder", path=source)
     if is_ros_recording(source):
         return _of_scene(_imported(source, images, out), source)  # undistorted by the import
-    return _undistorted(_folder_or_file(source, images, out), images.undistort_fov)
+    return _undistorted(_folder_or_file(source, images, out), images)
 
 
 def _folder_or_file(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
@@ -231,13 +232,18 @@ def _pair(color: Path, depth: Path, images: ImageOptions) -> tuple[FrameFiles, U
     return frame, "guess" if intrinsics.depth_scale is None else "file"
 
 
-def _undistorted(recording: RecordingFiles, fov_deg: float | None) -> RecordingFiles:
+def _undistorted(recording: RecordingFiles, images: ImageOptions) -> RecordingFiles:
     """The recording with the undistortion that each camera needs; see `Undistortion.of`.
+
+    Coefficients that the user gives are taken out of the images, at the same focal length.
 
     Raises:
         ToolkitError: no such pinhole, or several cameras that need it.
     """
-    found = {f.camera: Undistortion.of(f.camera, fov_deg) for f in recording.frames}
+    found = {f.camera: Undistortion.of(f.camera, images.undistort_fov) for f in recording.frames}
+    if images.distortion is not None:
+        for camera in [c for c, undistortion in found.items() if undistortion is None]:
+            found[camera] = _undistortion(camera, recording.source, images.distortion)
     needed = [undistortion for undistortion in found.values() if undistortion is not None]
     if not needed:
         return recording
@@ -251,6 +257,26 @@ def _undistorted(recording: RecordingFiles, fov_deg: float | None) -> RecordingF
     logger.info("%s: %s", recording.source, needed[0])
     frames = (replace(f, camera=needed[0].camera, undistortion=needed[0]) for f in recording.frames)
     return replace(recording, frames=tuple(frames))
+
+
+def _undistortion(camera: Camera, source: str, given: str) -> Undistortion | None:
+    """The undistortion of images through a lens whose coefficients the user gives."""
+    wanted, known = (_significant(k) for k in (parse_distortion(given), camera.distortion))
+    if wanted != known:
+        raise ToolkitError(
+            "is not the lens of this recording's camera",
+            path=source,
+            field="--distortion",
+            value=given,
+            hint=f"it has its own: {','.join(f'{k:g}' for k in known) or 'without distortion'}",
+        )
+    return Undistortion(camera, camera.without_distortion()) if known else None
+
+
+def _significant(coefficients: Sequence[float]) -> tuple[float, ...]:
+    """Coefficients without the zeros at the end."""
+    last = max((i for i, k in enumerate(coefficients) if k), default=-1)
+    return tuple(float(k) for k in coefficients[: last + 1])
 
 
 def _files(recording: Recording, name: str, source: str) -> RecordingFiles:

@@ -95,6 +95,12 @@ class Optimization:
 ADAM = Optimization(optimizer="adam", weight_decay=0.0, decay="steps")
 
 
+# Shares, of frames or of objects, that augmentation changes.
+AUGMENTATIONS = (
+    "object_dropout", "copy_paste", "clear_gone", "clear_behind", "holes", "wrong_color"
+)  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
     """A training.
@@ -113,6 +119,10 @@ class TrainConfig:
         geometry: whether frames are turned, mirrored and enlarged, as published for NLSPN.
         object_dropout: share of the frames in which the depth of some objects is replaced.
         copy_paste: share of the frames into which objects of another frame are pasted.
+        clear_gone, clear_behind: shares of the glass and metal objects without sensor depth, and
+            with that of what is behind.
+        holes: share of the frames with holes anywhere.
+        wrong_color: share of the frames with noise or another frame's colour.
         batch_norm: whether trained weights normalise by running means over the last batches, as
             published, or by statistics that are recomputed before each validation.
         validate_every, checkpoint_every: steps; the first a multiple of the second.
@@ -135,6 +145,10 @@ class TrainConfig:
     geometry: bool = False
     object_dropout: float = 0.0
     copy_paste: float = 0.0
+    clear_gone: float = 0.0
+    clear_behind: float = 0.0
+    holes: float = 0.0
+    wrong_color: float = 0.0
     batch_norm: BatchNormStatistics = "running"
     validate_every: int
     checkpoint_every: int
@@ -156,7 +170,7 @@ class TrainConfig:
                 field="validate_every",
                 value=self.validate_every,
             )
-        for name in ("object_dropout", "copy_paste"):
+        for name in AUGMENTATIONS:
             if not 0 <= getattr(self, name) <= 1:
                 raise ToolkitError("must be in [0, 1]", field=name, value=getattr(self, name))
 

@@ -6,7 +6,7 @@ Also gives the `std-bench` command that uses the weights.
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from safetensors.torch import save
 
 from benchmark.methods.registry import grasp_planners, pose_methods, restorers, sha256_of
 from benchmark.methods.weights import read_weights
+from benchmark.metrics.depth import harm, holes
 from benchmark.training.config import CONFIG
 from benchmark.training.run_files import BEST, SCORES
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
@@ -97,10 +98,20 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
             for name, value in (named or best["scores"]).items()
         ],
     )
+    lines += _elsewhere(best["scores"])
     if scores:
         lines += ["## Scores on test sets", "", scores.rstrip(), ""]
     write_bytes_atomic(path.with_suffix(".md"), "\n".join(lines).encode())
     return path
+
+
+def _elsewhere(scores: Mapping[str, float]) -> list[str]:
+    """What the network does to depth that was right, in validation."""
+    columns = [c for c in (*harm.COLUMNS, *holes.COLUMNS) if c.name in scores]
+    if not columns:
+        return []
+    rows = [(column.title, column.text(scores[column.name])) for column in columns]
+    return _table("Scores of validation, depth that was right", rows)
 
 
 def half(tensor: torch.Tensor, name: str, path: Path) -> torch.Tensor:
@@ -180,6 +191,24 @@ def _how(
     if config.get("copy_paste"):
         share = config["copy_paste"]
         rows.append(("copy-paste", f"objects of another frame into {share:g} of the frames"))
+    if config.get("clear_gone") or config.get("clear_behind"):
+        rows.append(
+            (
+                "glass and metal",
+                f"{config['clear_gone']:g} of the objects without sensor depth, "
+                f"{config['clear_behind']:g} with that of what is behind, drawn at every step",
+            )
+        )
+    if config.get("holes"):
+        rows.append(("holes anywhere", f"in {config['holes']:g} of the frames"))
+    if config.get("wrong_color"):
+        rows.append(
+            (
+                "wrong colour",
+                f"noise or another frame's in {config['wrong_color']:g} of the frames, answered by "
+                "the continuation of the sensor's depth",
+            )
+        )
     if config.get("batch_norm") == "recomputed":
         rows.append(("batch-norm statistics", f"recomputed over {BATCH_NORM_FRAMES} frames"))
     if config.get("beginning") and not note.earlier:

@@ -10,6 +10,7 @@ import pytorch_lightning as pl
 import torch
 from torch import Tensor, nn
 
+from benchmark.data.frame import BACKGROUND
 from benchmark.training.config import TrainConfig, seed_of
 from benchmark.training.step import (
     Batch,
@@ -51,11 +52,11 @@ class RestorerTraining(pl.LightningModule):
         self._frames: list[int] = []
         self._change_color: list[Callable[[Tensor], Tensor]] = []
         if config.jitter:
-            from benchmark.training.augmentation import jitter
+            from benchmark.training.augmentation.color import jitter
 
             self._change_color.append(jitter())
         if config.colors:
-            from benchmark.training.augmentation import ColorAugmentation
+            from benchmark.training.augmentation.color import ColorAugmentation
 
             self._change_color.append(ColorAugmentation())
 
@@ -104,24 +105,44 @@ class RestorerTraining(pl.LightningModule):
         }
 
     def _augmented(self, inputs: ModelInput) -> ModelInput:
-        if self.config.copy_paste:
-            from benchmark.training.augmentation import copy_paste
+        config = self.config
+        if config.copy_paste:
+            from benchmark.training.augmentation.frames import copy_paste
 
-            inputs = copy_paste(inputs, self.config.copy_paste)
-        if self.config.geometry:
-            from benchmark.training.augmentation import moved
+            inputs = copy_paste(inputs, config.copy_paste)
+        if config.geometry:
+            from benchmark.training.augmentation.frames import moved
 
             inputs = moved(inputs)
-        color, depth, batch = inputs
         for change in self._change_color:
-            color = change(color)
-        if self.config.object_dropout:
-            from benchmark.training.augmentation import drop_object_depth
+            inputs = inputs._replace(color=change(inputs.color))
+        return self._with_other_depth(inputs)
 
-            depth = drop_object_depth(
-                depth, batch["true"], batch["mask"], batch["materials"], self.config.object_dropout
-            )
-        return ModelInput(color, depth, batch)
+    def _with_other_depth(self, inputs: ModelInput) -> ModelInput:
+        """The frames with sensor depth as it may be, too, and with colour that says nothing."""
+        config = self.config
+        if config.object_dropout or config.clear_gone or config.clear_behind:
+            from benchmark.training.augmentation import depth
+
+            maps = [inputs.batch[name] for name in ("true", "mask", "materials")]
+            seen_through = config.object_dropout or config.clear_behind
+            objects = maps[1] != BACKGROUND
+            scene = depth.without_objects(maps[0], objects) if seen_through else None
+            if share := config.object_dropout:
+                changed = depth.drop_object_depth(inputs.depth, *maps, share, scene)
+                inputs = inputs._replace(depth=changed)
+            if config.clear_gone or config.clear_behind:
+                changed = depth.clear_depth(inputs, config.clear_gone, config.clear_behind, scene)
+                inputs = inputs._replace(depth=changed)
+        if config.holes:
+            from benchmark.training.augmentation.holes import cut_holes
+
+            inputs = inputs._replace(depth=cut_holes(inputs, config.holes))
+        if config.wrong_color:
+            from benchmark.training.augmentation.depth import wrong_color
+
+            inputs = wrong_color(inputs, config.wrong_color)
+        return inputs
 
     def _stop(self, problem: str, value: object) -> None:
         names = [self.key(i) for i in self._frames[:_NAMED]]

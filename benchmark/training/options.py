@@ -78,6 +78,17 @@ class TrainOptions:
     copy_paste: Share = 0.0
     """copy-paste augmentation: share of the frames into which objects of another frame of the batch
     are pasted"""
+    clear_gone: Share = 0.0
+    """share of the glass and metal objects without any sensor depth"""
+    clear_behind: Share = 0.0
+    """share of the glass and metal objects in whose place the sensor sees what is behind, whole, as
+    if they were not there (the others keep what the sensor has)"""
+    holes: Share = 0.0
+    """share of the frames with holes anywhere: ellipses, a band at the border, depth out of range,
+    shadows of a second camera, dark and glossy places, patches, outlines of other objects"""
+    wrong_color: Share = 0.0
+    """share of the frames with noise or another frame's colour, to be answered by what was measured
+    and its smooth continuation"""
     batch_norm: BatchNormStatistics = "running"
     """batch-norm statistics of validated and saved weights: running means over the last batches, as
     published, or recomputed over 400 frames before each validation"""
@@ -92,6 +103,12 @@ class TrainOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.clear_gone + self.clear_behind > 1:
+            raise ToolkitError(
+                "and --clear-behind are shares of the same objects, 1 together at most",
+                field="--clear-gone",
+                value=f"{self.clear_gone:g} and {self.clear_behind:g}",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from typing import Any
 
 from benchmark.training import fit, frame_order, packed_frames
 from benchmark.training.catalogue import Trainable, get_trainable
-from benchmark.training.config import Optimization, TrainConfig
+from benchmark.training.config import AUGMENTATIONS, Optimization, TrainConfig
 from benchmark.training.options import TrainOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import digest_file
@@ -45,8 +45,7 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Dat
         every = max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
     about_an_epoch = max(1, round(min(order.steps_per_epoch, steps) / max(1, every))) * every
     copied = (
-        "method", "preset", "accumulate", "precision", "seed", "object_dropout", "copy_paste",
-        "batch_norm",
+        "method", "preset", "accumulate", "precision", "seed", "batch_norm", *AUGMENTATIONS,
     )  # fmt: skip
     config = TrainConfig(
         **{name: getattr(options, name) for name in copied},
@@ -65,11 +64,11 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Dat
         beginning=_digest(options),
     )
     if not trainable.images and (
-        config.colors or config.jitter or config.object_dropout or config.copy_paste
+        config.colors or config.jitter or any(getattr(config, name) for name in AUGMENTATIONS)
     ):
         raise ToolkitError(
             "the method is trained on clouds: there are no images to augment",
-            field="--colors, --object-dropout, --copy-paste",
+            field=", ".join(f"--{n.replace('_', '-')}" for n in ("colors", *AUGMENTATIONS)),
             value=options.method,
         )
     return config, data, fit.Beginning(options.weights, options.imagenet)

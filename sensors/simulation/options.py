@@ -49,7 +49,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     sweep_deg: float = 120.0
     """angle of a smooth path around the table, negative for clockwise"""
     width: Count = 640
-    """of infrared, depth and labels, in pixels"""
+    """of infrared, depth and labels, in pixels (a time-of-flight camera: its own size)"""
     height: Count = 360
     """of infrared, depth and labels, in pixels"""
     color_factor: Annotated[int, msgspec.Meta(ge=1, le=4)] = 1
@@ -267,7 +267,8 @@ class TurntableOptions(CheckedOptions):
 def with_preset(words: list[str]) -> list[str]:
     """The options of the requested preset, followed by the given ones.
 
-    Several layouts may follow one `--layout`.
+    Several layouts may follow one `--layout`. A camera that is no stereo camera has images of its
+    own size, unless a preset or a size is given.
     """
     words = _one_layout_each(words)
     start = next((i for i, w in enumerate(words) if w not in ("--quiet", "--debug")), len(words))
@@ -279,7 +280,29 @@ def with_preset(words: list[str]) -> list[str]:
     if given:
         chosen = next((p.options for name, p in PRESETS.items() if name == given[-1]), None)
         added = [*(words_of(SceneOptions(options=chosen)) if chosen else []), *added]
+    elif command not in ("turntable", "assets", "stats"):
+        added = [*_own_size(words), *added]
     return [*words[:start], *added, *words[start:]]
+
+
+def _own_size(words: list[str]) -> list[str]:
+    """Width and height of a sensor that has no depth at sizes of the user's choice."""
+    if any(word.partition("=")[0] in ("--width", "--height") for word in words):
+        return []
+    named = [word.partition("=")[2] for word in words if word.startswith("--sensor=")]
+    named += [words[i + 1] for i, word in enumerate(words[:-1]) if word == "--sensor"]
+    if not named:
+        return []
+    from sensors.specs.sensor import load_sensor  # not needed for the help page
+
+    try:
+        sensor = load_sensor(named[-1])
+    except ToolkitError:  # told when the options are read
+        return []
+    if sensor.depth_model == "stereo":
+        return []
+    own = min(sensor.color, key=lambda camera: camera.width)
+    return ["--width", str(own.width), "--height", str(own.height)]
 
 
 def _one_layout_each(words: list[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """The depth restoration task: one method on one split by one protocol."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -21,6 +21,7 @@ from benchmark.evaluation.frames import (
     restore_views,
 )
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
+from benchmark.evaluation.probes import answer_figures, probe_color, probe_holes
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, TABLE, UNREAD
 from benchmark.evaluation.tasks import depth_results
 from benchmark.methods.depth.filling.filler import Filler, Raw
@@ -52,6 +53,7 @@ class Run(FrameRun[Restorer]):
     depth_from: Path | None = None
     speed: bool = True
     released_loader: int | None = None
+    probes: tuple[str, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -111,6 +113,7 @@ class Run(FrameRun[Restorer]):
             protocol=self.protocol,
             depth_from="" if self.depth_from is None else str(self.depth_from.resolve()),
             released_loader=self.released_loader or 0,
+            probes=sorted(self.probes),
         )
         return Manifest(
             label=self.label,
@@ -131,8 +134,9 @@ class Run(FrameRun[Restorer]):
     ) -> list[dict[str, Any]]:
         """Return the rows of the protocol for each frame.
 
-        A frame that cannot be read has one row with a text in `error`. A frame at which the method
-        failed has that text in the rows of an empty prediction.
+        The first row of a frame has the figures of `benchmark.evaluation.probes`, too. A frame
+        that cannot be read has one row with a text in `error`. A frame at which the method failed
+        has that text in the rows of an empty prediction.
         """
         protocol = get_protocol(self.protocol)
         views = {
@@ -141,6 +145,7 @@ class Run(FrameRun[Restorer]):
             if not isinstance(frame, str)
         }
         answers = restore_views(methods, views)
+        seen = self._seen(data, methods, dict(zip(views, _read(frames), strict=True)), answers)
         rows: list[dict[str, Any]] = []
         for base, frame in frames:
             if isinstance(frame, str):
@@ -149,12 +154,46 @@ class Run(FrameRun[Restorer]):
             answer = answers[base[INDEX]]
             error, depth = (answer, None) if isinstance(answer, str) else ("", answer.depth)
             status = {ERROR: error, NOT_FINITE: _not_finite(depth)}
-            rows += [base | status | row.as_dict() for row in score_frame(depth, frame, protocol)]
+            scored = [base | status | row.as_dict() for row in score_frame(depth, frame, protocol)]
+            scored[0] |= seen[base[INDEX]]
+            rows += scored
             if self.save_depth and not isinstance(answer, str):
                 save_depth(
                     self.folder, data.name, splits.FrameKey(base[SCENE], base[FRAME]), answer
                 )
         return rows
+
+    def _seen(
+        self,
+        data: splits.DepthSource,
+        restorer: Restorer,
+        frames: Mapping[int, DepthFrame],
+        answers: Mapping[int, Restored | str],
+    ) -> dict[int, dict[str, float]]:
+        """Figures of `probes` by frame."""
+        found = {}
+        protocol, chosen = get_protocol(self.protocol), self.chosen(data)
+        for index, frame in frames.items():
+            # Saved depth took the place of the sensor's, which it may have harmed.
+            sensor = frame.depth_raw
+            if isinstance(data, splits.WithSavedDepth):
+                sensor = data.source.load(index).depth_raw
+            found[index] = answer_figures(restorer, frame, sensor, answers[index], protocol)
+
+        def other(index: int) -> NDArray[np.uint8] | None:
+            """Colour of the frame half a split away."""
+            place = (chosen.index(index) + len(chosen) // 2) % len(chosen)
+            return None if chosen[place] == index else data.load(chosen[place]).color
+
+        more = []
+        if "holes" in self.probes:
+            more.append(probe_holes(restorer, frames, protocol))
+        if "color" in self.probes:
+            more.append(probe_color(restorer, frames, protocol, answers, other))
+        for figures in more:
+            for index, of_frame in figures.items():
+                found[index] |= of_frame
+        return found
 
     def after(self) -> None:
         """Measure speed and save pictures of a few frames, unless they exist."""
@@ -172,7 +211,7 @@ class Run(FrameRun[Restorer]):
         return depth_results.read_run(self.folder)
 
 
-_OF_CONFIG = ("save_depth", "depth_from", "speed", "released_loader")
+_OF_CONFIG = ("save_depth", "depth_from", "speed", "released_loader", "probes")
 
 
 def plan_runs(config: DepthConfig) -> list[Run]:
@@ -198,6 +237,11 @@ TASK = Task(
     table=lambda results, _: depth_results.results_table(results),
     records=lambda results, _: depth_results.depth_records(results),
 )
+
+
+def _read(frames: Sequence[tuple[Base, DepthFrame | str]]) -> list[DepthFrame]:
+    """The frames that could be read."""
+    return [frame for _, frame in frames if not isinstance(frame, str)]
 
 
 def _not_finite(depth: NDArray[np.float32] | None) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from benchmark.evaluation import probes
 from benchmark.evaluation.manifest import MANIFEST, Manifest
 from benchmark.evaluation.results import (
     ERROR,
@@ -24,7 +25,7 @@ from benchmark.metrics.depth.figures import COVERAGE, FIGURES, NAMES
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.table import text_table
+from std_toolkit.html.table import Column, text_table
 from std_toolkit.io.documents import read_document
 
 GROUPS = ("split", "protocol", "method", "grid", "subset")
@@ -116,6 +117,29 @@ def _add_intervals(
         out[f"{name}_low"], out[f"{name}_high"] = ends[0, :, j], ends[1, :, j]
 
 
+def summarise_seen(rows: pd.DataFrame, *, by: Sequence[str] = ("method",)) -> pd.DataFrame:
+    """Compute means over frames of what a user sees: harm, holes, colour, trust.
+
+    Args:
+        rows: rows of runs, with the columns of `benchmark.evaluation.probes`, which the first row
+            of a frame holds.
+        by: columns to group by.
+
+    Returns:
+        A row for each group: the columns `by` and the means of `probes.NAMES`, each over the
+        frames that have the figure; NaN where none has.
+    """
+    firsts = rows.drop_duplicates([*GROUPS[:3], INDEX])
+    names = [name for name in probes.NAMES if name in firsts]
+    means = firsts.groupby(list(by), sort=False)[names].mean().reset_index()
+    return means.reindex(columns=[*by, *probes.NAMES])
+
+
+def seen_columns(means: pd.DataFrame) -> list[Column]:
+    """Return the columns of `summarise_seen` of which any method has a figure."""
+    return [c for c in probes.COLUMNS if means[c.name].notna().any()]
+
+
 @dataclass(frozen=True, eq=False)
 class RunResult(Result[Manifest]):
     """A method on a split by a protocol.
@@ -143,9 +167,12 @@ def read_run(folder: Path) -> RunResult:
     """
     manifest = read_document(folder / MANIFEST, Manifest)
     table = read_table(folder / TABLE)
+    # Runs of 0.1.0 lack some figures, which are then unknown.
+    later = [n for n in ("within", "within_answered", *probes.NAMES) if n not in table]
+    table = table.reindex(columns=[*table.columns, *later])
     needed = [INDEX, SCENE, ERROR, "grid", "subset", "n_pixels", "n_answered"]
     if "grid" in table and (table["grid"] != "").any():
-        needed += [*OVER_ALL, *OVER_ANSWERED]
+        needed += [*OVER_ALL, *OVER_ANSWERED, *probes.NAMES]
     check_columns(table, needed, folder / TABLE)
     names = (manifest.setup.split, manifest.setup.protocol, manifest.label)
     for place, (column, value) in enumerate(
@@ -171,22 +198,35 @@ def read_results(folders: Iterable[Path]) -> list[RunResult]:
 def results_table(results: Sequence[RunResult]) -> str:
     """Format means over frames on the main grid, for all and for specular and transparent objects.
 
-    A protocol with another main subset also shows that subset.
+    A protocol with another main subset also shows that subset. Then follows what a user sees.
     """
     blocks = []
     for (split, protocol, grid), means in _means(results):
         shown = "no frame has a pixel to compare" if means.empty else _table(means)
         blocks.append(f"{split}, protocol {protocol}, {grid}\n{shown}")
+        seen = _seen(results, split, protocol)
+        if columns := seen_columns(seen):
+            blocks.append(
+                f"{split}, protocol {protocol}, at the sensor's size\n"
+                f"{_text_table(seen, ['method'], columns)}"
+            )
     return "\n\n".join(blocks) or "no frame could be scored"
 
 
 def depth_records(results: Sequence[RunResult]) -> list[dict[str, Any]]:
     """Return the figures of `results_table`, in metres and fractions."""
-    return [
-        {"split": split, "protocol": protocol, "grid": grid, **row}
-        for (split, protocol, grid), means in _means(results)
-        for row in means.to_dict("records")
-    ]
+    records = []
+    for (split, protocol, grid), means in _means(results):
+        joined = means.merge(_seen(results, split, protocol), on="method", how="left")
+        where = {"split": split, "protocol": protocol, "grid": grid}
+        records += [{**where, **row} for row in joined.to_dict("records")]
+    return records
+
+
+def _seen(results: Sequence[RunResult], split: str, protocol: str) -> pd.DataFrame:
+    rows = pd.concat([result.table for result in results], ignore_index=True)
+    rows = rows[(rows["split"] == split) & (rows["protocol"] == protocol) & (rows["grid"] != "")]
+    return summarise_seen(rows)
 
 
 def _means(results: Sequence[RunResult]) -> Iterator[tuple[tuple[str, str, str], pd.DataFrame]]:
@@ -201,10 +241,13 @@ def _means(results: Sequence[RunResult]) -> Iterator[tuple[tuple[str, str, str],
 
 
 def _table(means: pd.DataFrame) -> str:
-    shown = pd.DataFrame({"method": means["method"], "objects": means["subset"]})
-    shown["frames"] = means["frames"].astype(str)
-    for column in _COLUMNS:
+    shown = means.rename(columns={"subset": "objects"})
+    return _text_table(shown, ["method", "objects", "frames"], _COLUMNS)
+
+
+def _text_table(means: pd.DataFrame, names: list[str], columns: Sequence[Column]) -> str:
+    shown = means[names].astype(str)
+    for column in columns:
         heading = f"{column.heading.replace('δ', 'd')} {column.unit}".rstrip()
-        values = means[column.name] * column.factor
-        shown[heading] = [f"{value:.{column.digits}f}" for value in values]
+        shown[heading] = [column.text(value) or "-" for value in means[column.name]]
     return text_table(list(shown.columns), shown.to_numpy().tolist()).terminal()

@@ -17,6 +17,10 @@ from std_toolkit.html.table import Column
 
 THRESHOLDS = (1.05, 1.10, 1.25)  # of delta: the ratio between prediction and truth either way
 
+# What a depth camera may be off and still be right: the larger of metres and of a share of the
+# depth. Fixed, as the thresholds are, so that figures can be compared.
+CLOSE_M, CLOSE_SHARE = 0.003, 0.01
+
 
 class Missing(StrEnum):
     """How pixels count whose prediction is not finite or not positive.
@@ -102,6 +106,22 @@ def usable(pred: Any) -> Any:
     array([ True, False, False, False])
     """
     return (pred > 0) & (pred < float("inf"))
+
+
+def tolerance(true: Any) -> Any:
+    """How far from the truth depth still counts as right: max(3 mm, 1 %).
+
+    Args:
+        true: true metres.
+
+    Returns:
+        Metres, float64, of that shape and kind.
+
+    >>> tolerance(np.array([0.1, 0.5, 2.0])).tolist()
+    [0.003, 0.005, 0.02]
+    """
+    xp = namespace(true)
+    return xp.clip(CLOSE_SHARE * xp.asarray(true, dtype=xp.float64), CLOSE_M, None)
 
 
 class Pixels:
@@ -201,6 +221,18 @@ FIGURES = (
     ),
     Figure(column=_metres("mae"), of=lambda pixels: pixels.error),
     *map(delta_figure, THRESHOLDS),
+    Figure(
+        column=Column(
+            name="within",
+            heading="within 3 mm or 1 %",
+            unit="%",
+            factor=100,
+            digits=2,
+            lower_is_better=False,
+        ),
+        of=lambda pixels: pixels.error <= tolerance(pixels.true),
+        is_share=True,
+    ),
 )
 
 NAMES = tuple(figure.name for figure in FIGURES)
@@ -217,9 +249,10 @@ class Errors:
     Attributes:
         n_pixels: compared pixels; n_answered: those whose prediction is finite and positive.
         rmse, mae: metres; rel: mean of error / true depth; d105, d110, d125: share of pixels whose
-            ratio to the truth is below 1.05, 1.10, 1.25; all with missing pixels as asked for.
+            ratio to the truth is below 1.05, 1.10, 1.25; within: of those with an error of at most
+            max(3 mm, 1 %); all with missing pixels as asked for.
         coverage: n_answered / n_pixels.
-        rmse_answered ... d125_answered: the same over the answered pixels alone.
+        rmse_answered ... within_answered: the same over the answered pixels alone.
     """
 
     n_pixels: int
@@ -230,6 +263,7 @@ class Errors:
     d105: float
     d110: float
     d125: float
+    within: float
     coverage: float
     rmse_answered: float
     rel_answered: float
@@ -237,6 +271,7 @@ class Errors:
     d105_answered: float
     d110_answered: float
     d125_answered: float
+    within_answered: float
 
     def as_dict(self) -> dict[str, int | float]:
         """Values by name, in the order above."""

@@ -30,7 +30,12 @@ def depth_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
         ToolkitError: a run is damaged, or no frame could be scored.
     """
     board = leaderboard.make_board(read_results(folders), published=published)
-    tables = [table for where in board.boards for table in depth_tables.board_tables(board, *where)]
+    tables = [
+        table
+        for where in board.boards
+        for make in (depth_tables.board_tables, depth_tables.seen_tables)
+        for table in make(board, *where)
+    ]
     return ReportPart(
         title="Depth restoration",
         summary=_summary(board),
@@ -70,7 +75,11 @@ def _leaderboard(
             page.Plot(f"radar-{split}-{protocol}", depth_plots.radar(rows, colors)),
         ]
     )
-    return [*depth_tables.board_tables(board, split, protocol, all_published=True), figures]
+    return [
+        *depth_tables.board_tables(board, split, protocol, all_published=True),
+        *depth_tables.seen_tables(board, split, protocol),
+        figures,
+    ]
 
 
 def _breakdown(

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from benchmark.evaluation.tasks.depth_results import RunResult
+from benchmark.evaluation import probes
+from benchmark.evaluation.tasks.depth_results import RunResult, seen_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report import leaderboard
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
@@ -58,6 +59,34 @@ def board_tables(
         tables.append(
             _method_table(chosen, leaderboard.BOARD, title=title, notes=notes, counts=True)
         )
+    return tables
+
+
+_SEEN = (
+    "Depth at the sensor's size, as std-restore writes it. Harm: share of the pixels that the "
+    "sensor had right, within max(3 mm, 1 %), and the method made wrong by more than twice that.",
+    "Cut holes: median error where depth that was right had been removed; other columns: RMSE on "
+    "glass and metal. Both need `std-bench --probe`.",
+)
+
+
+def seen_tables(board: leaderboard.Board, split: str, protocol: str) -> list[Table]:
+    """Return the table of what a user sees of the methods, and that of their spreads; tables
+    without any figure are left out."""
+    rows = board.main_rows(split, protocol)
+    rows = rows[rows["kind"] == leaderboard.MEASURED]
+    columns = seen_columns(rows)
+    of = board_title(board, split, protocol)
+    spreads = [c for c in columns if c in probes.SPREAD_COLUMNS]
+    others = [c for c in columns if c not in spreads]
+    tables = []
+    if others:
+        title = f"{of}, what a user sees"
+        tables.append(_method_table(rows, others, title=title, notes=_SEEN))
+    if spreads:
+        title = f"{of}, expected errors"
+        notes = ["Of errors at the method's size, 68 % and 95 % lie within 1 and 2 true spreads."]
+        tables.append(_method_table(rows, spreads, title=title, notes=notes))
     return tables
 
 

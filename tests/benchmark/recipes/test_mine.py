@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,15 @@ import pytest
 import torch
 
 from benchmark.cli.train import main
-from benchmark.recipes.mine import TUNINGS, fine_tune, plan_sets
+from benchmark.recipes.mine import (
+    TUNINGS,
+    MineReport,
+    Score,
+    fine_tune,
+    plan_sets,
+    report_lines,
+)
+from benchmark.recipes.recipe_run import Trained
 from benchmark.training.options import Machine, MineOptions
 from std_toolkit import RenderOptions, render_ground_truth
 from std_toolkit.errors import ToolkitError
@@ -47,6 +56,8 @@ def test_weights_are_tuned_and_scored_on_other_scenes(scenes: Path, tmp_path: Pa
     score = report.scores["scenes"]
     assert score.frames == 2
     assert score.before > 0 and score.after > 0 and score.before != score.after
+    assert math.isnan(score.harm_before)  # the sensor of these scenes is exact
+    assert (report.recommended is None) is (score.after >= score.before)
     assert {p.name for p in (tmp_path / "out/scenes/test").iterdir()} == {"c"}
     # The same command a second time does nothing.
     before = report.weights.stat().st_mtime_ns
@@ -54,6 +65,40 @@ def test_weights_are_tuned_and_scored_on_other_scenes(scenes: Path, tmp_path: Pa
     found = again.scores["scenes"]
     assert (found.before, found.after) == (score.before, score.after)
     assert report.weights.stat().st_mtime_ns == before
+
+
+def told(**scores: Score) -> tuple[MineReport, list[str]]:
+    trained = Trained(frames=6, scenes=2, steps=3, batch_size=2, best_step=3)
+    report = MineReport(Path("out/best.safetensors"), Path("out/results"), trained, scores=scores)
+    return report, report_lines(report, "dfnet")
+
+
+def test_worse_weights_are_not_recommended() -> None:
+    interval = (0.03, 0.05)
+    better = Score(4, 0.0413, 0.0381, interval, interval, 0.012, 0.011)
+    worse = Score(4, 0.0381, 0.0413, interval, interval, 0.012, 0.011)
+    report, lines = told(scenes=better)
+    assert report.recommended == report.weights
+    assert "--weights out/best.safetensors" in lines[-1]
+    assert "harm 1.2% before, 1.1% after" in lines[1]
+    for scores in ({"scenes": worse}, {"simulated": better, "scenes": worse}):
+        report, lines = told(**scores)
+        assert report.recommended is None
+        assert "--weights" not in lines[-1]
+        assert "scenes: the shipped weights are better and stay: RMSE 38.1 mm" in lines[-2]
+
+
+def test_weights_that_harm_more_are_not_recommended() -> None:
+    interval = (0.03, 0.05)
+    for before, after, kept in ((0.002, 0.03, True), (0.002, 0.009, False), (0.05, 0.04, False)):
+        score = Score(4, 0.05, 0.04, interval, interval, before, after)
+        assert (told(simulated=score)[0].recommended is None) is kept, (before, after)
+    unknown = Score(4, 0.05, 0.04, interval, interval)
+    report, lines = told(simulated=unknown)
+    assert report.recommended is not None
+    assert not any("harm" in line for line in lines)
+    same = Score(4, 0.05, 0.05, interval, interval)
+    assert told(simulated=same)[0].recommended is None
 
 
 def test_simulated_scenes_that_are_scored_are_others(tmp_path: Path) -> None:

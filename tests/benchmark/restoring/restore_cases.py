@@ -37,6 +37,17 @@ class Odd(FromBehind):
 
 class Masked(FromBehind):
     needs_mask = True
+
+class Lifting(FromBehind):
+    """Lifts a quarter of the image by 5 cm, whatever the sensor says."""
+
+    def restore(self, views):
+        found = []
+        for view in views:
+            depth = view.depth.copy()
+            depth[:, : depth.shape[1] // 4] -= 0.05
+            found.append(Restored(depth, np.zeros(depth.shape, np.float32)))
+        return found
 '''
 
 
@@ -62,3 +73,23 @@ def write_methods(folder: Path) -> str:
     path = folder / "my_methods.py"
     path.write_text(METHODS)
     return str(path)
+
+
+def write_blocks(root: Path, shift: int = 0, frames: int = 3) -> Path:
+    """Boxes of their own colours over a table, depth moved to the right by `shift` pixels."""
+    rng = np.random.default_rng(0)
+    for index in range(frames):
+        color = np.full((240, 320, 3), 120, np.uint8)
+        depth = np.full((240, 320), 0.9, np.float32)
+        for _ in range(6):
+            x, y, w, h = (int(v) for v in rng.integers([20, 20, 40, 40], [240, 160, 70, 70]))
+            color[y : y + h, x : x + w] = rng.integers(0, 255, 3)
+            depth[y : y + h, x : x + w] = rng.uniform(0.5, 0.8)
+        noise = rng.normal(0, 4, color.shape)
+        write_color(
+            root / f"color/{index:04d}.png", np.clip(color + noise, 0, 255).astype(np.uint8)
+        )
+        write_depth_png16(
+            root / f"depth/{index:04d}.png", np.roll(depth, shift, axis=1), scale=1e-3
+        )
+    return root

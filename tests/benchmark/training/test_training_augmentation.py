@@ -14,7 +14,7 @@ def colors(count: int, side: int = 32, seed: int = 0) -> torch.Tensor:
 
 @pytest.mark.slow
 def test_images_stay_images_and_each_gets_its_own_change():
-    from benchmark.training.augmentation import ColorAugmentation
+    from benchmark.training.augmentation.color import ColorAugmentation
 
     images = colors(200)
     torch.manual_seed(0)
@@ -31,7 +31,7 @@ def test_images_stay_images_and_each_gets_its_own_change():
 
 
 def test_the_seed_alone_decides():
-    from benchmark.training.augmentation import ColorAugmentation
+    from benchmark.training.augmentation.color import ColorAugmentation
 
     images = colors(24)
     change = ColorAugmentation()
@@ -45,8 +45,8 @@ def test_the_seed_alone_decides():
 
 
 def test_every_single_change_changes_and_stays_in_range():
-    from benchmark.training import augmentation
-    from benchmark.training.augmentation import ColorAugmentation
+    from benchmark.training.augmentation import color as augmentation
+    from benchmark.training.augmentation.color import ColorAugmentation
 
     change = ColorAugmentation()
     images = colors(8)
@@ -64,7 +64,7 @@ def test_every_single_change_changes_and_stays_in_range():
 
 
 def test_bright_patches_only_brighten():
-    from benchmark.training import augmentation
+    from benchmark.training.augmentation import color as augmentation
 
     images = colors(30)
     torch.manual_seed(1)
@@ -75,7 +75,7 @@ def test_bright_patches_only_brighten():
 
 
 def test_coarse_gaps_are_about_two_percent():
-    from benchmark.training import augmentation
+    from benchmark.training.augmentation import color as augmentation
 
     torch.manual_seed(0)
     white = torch.ones(64, 3, 64, 64)
@@ -85,7 +85,7 @@ def test_coarse_gaps_are_about_two_percent():
 
 def test_objects_are_measured_otherwise_and_the_background_is_not():
     from benchmark.data.frame import Material
-    from benchmark.training.augmentation import drop_object_depth
+    from benchmark.training.augmentation.depth import drop_object_depth
 
     b = 400
     slope = torch.linspace(0.9, 1.1, 48).expand(b, 32, 48)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from benchmark.training import augmentation
-from benchmark.training.augmentation import copy_paste, moved
+from benchmark.training.augmentation import frames as augmentation
+from benchmark.training.augmentation.frames import copy_paste, moved
 from benchmark.training.step import ModelInput
 
 H, W = 24, 32

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import math
 import os
 import socket
 import subprocess
@@ -27,7 +28,7 @@ from benchmark.training.fit import Beginning, make_network
 from benchmark.training.packed_frames import PackedFrames
 from benchmark.training.plan import plan_training
 from benchmark.training.step import StepInfo, depth_step, model_input
-from benchmark.training.validation import DepthValidator, main_score, scores_of
+from benchmark.training.validation import SUBSETS, DepthValidator, main_score, scores_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_color
 
@@ -63,7 +64,7 @@ def test_from_packing_to_the_leaderboard(method, data, tmp_path, capsys):
     assert "waiting for data" in told.err
     best = json.loads((run / "best.json").read_text())
     rows = list(csv.DictReader((run / "validation.csv").open()))
-    ranked = "loss" if method == "cleargrasp" else "specular_transparent_rmse"
+    ranked = "loss" if method == "cleargrasp" else "ranked_rmse"
     scores = [float(row[ranked]) for row in rows]
     assert best["ranked_by"] == ranked
     assert best["scores"][ranked] == pytest.approx(min(scores), rel=1e-4)
@@ -238,8 +239,30 @@ def test_shares_of_validation_add_up_to_the_whole(pack):
     assert np.allclose(sum(parts), whole)
     assert network.training, "it is left as it was"
     name, value = main_score(scores_of(whole))
-    assert name == "specular_transparent_rmse"
-    assert value > 0
+    scores = scores_of(whole)
+    assert name == "ranked_rmse"
+    assert value >= scores["specular_transparent_rmse"] > 0
+    assert 0 <= scores["harm_opaque"] <= 1
+    assert scores["holes"] > 0 and scores["holes_nearest"] > 0
+
+
+def test_swelling_costs_more_than_it_gains():
+    """RMSE counts as it is within the bars, and times their excess beyond."""
+    scores = {f"{name}_rmse": math.nan for name in SUBSETS} | {
+        "specular_transparent_rmse": 0.03,
+        "harm_opaque": 0.004,
+        "harm_background": math.nan,
+        "harm_band": 0.01,
+        "holes": 0.014,
+        "holes_nearest": 0.01,
+    }
+    assert main_score(scores) == ("ranked_rmse", 0.03)
+    assert main_score(scores | {"harm_band": 0.04})[1] == pytest.approx(0.12)
+    assert main_score(scores | {"holes": 0.06})[1] == pytest.approx(0.12)
+    unknown = {"holes": math.nan, "holes_nearest": math.nan, "harm_band": math.nan}
+    assert main_score(scores | unknown)[1] == 0.03
+    nothing = dict.fromkeys(scores, math.nan)
+    assert main_score(nothing)[1] == math.inf
 
 
 def test_pictures_show_the_frames(pack, tmp_path):

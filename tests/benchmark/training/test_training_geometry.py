@@ -38,7 +38,7 @@ def a_scene(count: int) -> ModelInput:
 
 
 def drawn(monkeypatch, scale: float, degrees: float, side: float) -> None:
-    from benchmark.training import augmentation
+    from benchmark.training.augmentation import frames as augmentation
 
     def motions(count):
         angle = torch.tensor(degrees).deg2rad()
@@ -50,7 +50,7 @@ def drawn(monkeypatch, scale: float, degrees: float, side: float) -> None:
 
 
 def test_nothing_drawn_changes_nothing(monkeypatch):
-    from benchmark.training.augmentation import moved
+    from benchmark.training.augmentation.frames import moved
 
     drawn(monkeypatch, 1.0, 0.0, 1.0)
     seen = a_scene(2)
@@ -69,7 +69,7 @@ def test_nothing_drawn_changes_nothing(monkeypatch):
 def test_points_of_the_scene_move_as_one(monkeypatch, scale, degrees, side):
     """What the moved depth and the same camera say of a pixel is the point that its colour names,
     turned about the camera's axis, mirrored, and divided in depth alone."""
-    from benchmark.training.augmentation import moved
+    from benchmark.training.augmentation.frames import moved
 
     drawn(monkeypatch, scale, degrees, side)
     found = moved(a_scene(1))
@@ -99,7 +99,7 @@ def test_points_of_the_scene_move_as_one(monkeypatch, scale, degrees, side):
 
 
 def test_an_enlarged_box_is_larger_by_the_square(monkeypatch):
-    from benchmark.training.augmentation import moved
+    from benchmark.training.augmentation.frames import moved
 
     drawn(monkeypatch, 1.5, 0.0, 1.0)
     seen = a_scene(1)
@@ -108,7 +108,7 @@ def test_an_enlarged_box_is_larger_by_the_square(monkeypatch):
 
 
 def test_what_comes_from_outside_is_unknown(monkeypatch):
-    from benchmark.training.augmentation import moved
+    from benchmark.training.augmentation.frames import moved
 
     drawn(monkeypatch, 1.0, 5.0, 1.0)
     found = moved(a_scene(1))
@@ -119,7 +119,7 @@ def test_what_comes_from_outside_is_unknown(monkeypatch):
 
 
 def test_draws_are_the_published_ones_and_the_seeds_alone():
-    from benchmark.training import augmentation
+    from benchmark.training.augmentation import frames as augmentation
 
     torch.manual_seed(3)
     motion, scale = augmentation._motions(4000)
@@ -134,7 +134,7 @@ def test_draws_are_the_published_ones_and_the_seeds_alone():
 
 
 def test_jitter_changes_brightness_contrast_and_saturation():
-    from benchmark.training.augmentation import jitter
+    from benchmark.training.augmentation.color import jitter
 
     draw = torch.Generator().manual_seed(0)
     images = torch.rand(60, 3, 16, 16, generator=draw) * 0.4 + 0.3

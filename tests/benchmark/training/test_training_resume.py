@@ -37,7 +37,17 @@ def test_interrupted_and_resumed_ends_with_the_same_bits(method, at, pack, tmp_p
     from benchmark.training.module import RestorerTraining
 
     asked = wishes(
-        method, pack, colors="on", object_dropout=0.5, accumulate=2, batch_norm="recomputed"
+        method,
+        pack,
+        colors="on",
+        object_dropout=0.5,
+        copy_paste=0.5,
+        clear_gone=0.4,
+        clear_behind=0.4,
+        holes=0.5,
+        wrong_color=0.3,
+        accumulate=2,
+        batch_norm="recomputed",
     )
     whole = trained(asked, tmp_path / "whole")
 

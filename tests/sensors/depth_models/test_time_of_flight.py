@@ -151,3 +151,25 @@ def test_a_corner_and_glass_lengthen_the_path() -> None:
     assert not np.array_equal(
         model.look(loaded, moved @ T, light, options=DRAFT_INFRARED, seed=0), received
     )
+
+
+def test_its_images_have_their_own_size_unless_one_is_given() -> None:
+    """As labels of 640x360 most of the colour image has no depth."""
+    from sensors.simulation.options import with_preset
+
+    own = ["--width", "1280", "--height", "720"]
+    assert with_preset(["--sensor", "azure_kinect"]) == [*own, "--sensor", "azure_kinect"]
+    assert with_preset(["run", "--sensor=azure_kinect"])[:5] == ["run", *own]
+    for kept in (
+        ["--sensor", "d415"],
+        ["--sensor", "no_such_sensor"],
+        ["--sensor", "azure_kinect", "--width", "640"],
+        ["stats", "set", "--sensor", "azure_kinect"],
+    ):
+        assert with_preset(kept) == kept
+    tiny = with_preset(["--sensor", "azure_kinect", "--preset", "tiny"])
+    assert tiny[tiny.index("--width") + 1] == "320"
+    assert (KINECT.color_camera(1280, 720).width, KINECT.color_camera(1280, 720).height) == (
+        1280,
+        720,
+    )

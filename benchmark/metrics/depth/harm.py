@@ -1,0 +1,137 @@
+"""Harm: depth that the sensor had right and a restorer made wrong.
+
+A pixel was right if the sensor is within max(3 mm, 1 %) of the truth, and is harmed if the answer
+is missing or off by more than twice that. Glass and metal are not looked at: harm is what a method
+does to everything else, on opaque objects, on the background, and in a band around glass and
+metal, where a swollen object shows first. The band overlaps the other two.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from benchmark.metrics.depth.figures import tolerance, usable
+from std_toolkit.arrays import Mask
+from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import Column
+
+# An answer is wrong from this many tolerances on: one that moves within the sensor's own noise
+# harms nobody.
+WRONG = 2.0
+
+# Width of the band around glass and metal, of the width of the image: 16 px of 640.
+BAND = 0.025
+
+# Truth that is the sensor itself (TransCG's and ClearPose's background) says nothing of harm. It is
+# the sensor's if this share of the pixels agrees to a tenth of the unit of a 16-bit file: a camera
+# and an exact model do so in few pixels, rounded to whole millimetres in under a half of them.
+_SAME_M, _SAME_SHARE = 1e-4, 0.99
+
+
+def _column(name: str, heading: str) -> Column:
+    return Column(name=name, heading=heading, unit="%", factor=100, digits=2, lower_is_better=True)
+
+
+COLUMNS = (
+    _column("harm_opaque", "harm on opaque objects"),
+    _column("harm_background", "harm on the background"),
+    _column("harm_band", "harm around glass and metal"),
+)
+NAMES = tuple(column.name for column in COLUMNS)
+
+
+def right_pixels(sensor: Any, true: Any) -> Mask:
+    """Where the sensor is within max(3 mm, 1 %) of the truth.
+
+    Args:
+        sensor: metres, 0 where nothing was measured.
+        true: true metres, of that shape; 0 where there is none.
+
+    Returns:
+        bool, of that shape.
+
+    >>> right_pixels(np.array([0.5, 0.504, 0.52, 0]), np.array([0.5, 0.5, 0.5, 0.5])).tolist()
+    [True, True, False, False]
+    """
+    there = usable(sensor) & usable(true)
+    error = np.abs(np.where(there, sensor, 0).astype(np.float64) - np.where(there, true, 0))
+    return there & (error <= tolerance(np.where(there, true, 1)))
+
+
+def harm(restored: Any, sensor: Any, true: Any, where: Any | None = None) -> float:
+    """Share in [0, 1] of the pixels that the sensor had right and the answer has wrong.
+
+    Args:
+        restored: answered metres, anything where there is no answer.
+        sensor: metres, 0 where nothing was measured.
+        true: true metres, 0 where there is none.
+        where: bool, which pixels to look at; all by default. All of one shape.
+
+    Returns:
+        The share of the right pixels; NaN without any, or where the truth is the sensor itself.
+
+    Raises:
+        ToolkitError: shapes that differ.
+
+    >>> sensor, true = np.array([0.5, 0.504, 0.6]), np.full(3, 0.5)
+    >>> harm(np.array([0.5, 0.511, 0.5]), sensor, true)
+    0.5
+    >>> harm(np.array([0.0, 0.504, 0.5]), sensor, true)  # a missing answer harms
+    0.5
+    """
+    shapes = {np.shape(a) for a in (restored, sensor, true, where) if a is not None}
+    if len(shapes) > 1:
+        raise ToolkitError("answer, sensor, truth and mask must have one shape", value=shapes)
+    right = right_pixels(sensor, true)
+    if where is not None:
+        right &= where
+    count = int(right.sum())
+    if not count:
+        return float("nan")
+    if _is_sensor(sensor, true, where):
+        return float("nan")
+    found, exact = (np.asarray(a)[right] for a in (restored, true))
+    off = np.abs(np.where(usable(found), found, 0).astype(np.float64) - exact)
+    return float((off > WRONG * tolerance(exact)).sum() / count)
+
+
+def harm_by_region(
+    restored: Any, sensor: Any, true: Any, clear: Mask, objects: Mask
+) -> dict[str, float]:
+    """Harm on opaque objects, on the background and around glass and metal.
+
+    Args:
+        restored, sensor, true: (H, W) metres, as of `harm`.
+        clear: (H, W) pixels of glass and metal.
+        objects: (H, W) pixels of all objects.
+
+    Returns:
+        Shares by the names of `COLUMNS`.
+
+    Raises:
+        ToolkitError: shapes that differ.
+
+    >>> table = np.full((4, 80), 0.5)
+    >>> clear = np.zeros((4, 80), bool); clear[:, :3] = True
+    >>> swollen = table.copy(); swollen[:, :4] = 0.4
+    >>> harm_by_region(swollen, table + 0.001, table, clear, clear)["harm_band"]
+    0.5
+    """
+    reach = max(1, round(BAND * clear.shape[1]))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    near = cv2.dilate(clear.astype(np.uint8), disc).astype(bool)
+    regions = (objects & ~clear, ~objects, near & ~clear)
+    return {
+        name: harm(restored, sensor, true, where)
+        for name, where in zip(NAMES, regions, strict=True)
+    }
+
+
+def _is_sensor(sensor: Any, true: Any, where: Any | None) -> bool:
+    """Whether the truth of these pixels is what the sensor measured."""
+    both = usable(sensor) & usable(true)
+    if where is not None:
+        both &= where
+    apart = np.abs(np.asarray(sensor)[both].astype(np.float64) - np.asarray(true)[both])
+    return bool((apart <= _SAME_M).mean() >= _SAME_SHARE)

@@ -1,0 +1,1 @@
+"""Augmentation of frames in training: colour, whole frames, depth of objects, holes."""
