@@ -21,6 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from std_toolkit import libraries
 from std_toolkit.errors import ToolkitError, missing_extra
 
 if TYPE_CHECKING:
@@ -245,6 +246,10 @@ _FINDER = _Finder()
 
 
 def install() -> None:
-    """Find the packages of this distribution before folders of the user with their names."""
+    """Find the packages of this distribution before folders of the user with their names.
+
+    Libraries do not report their use; see `std_toolkit.libraries`.
+    """
+    libraries.prepare()
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)

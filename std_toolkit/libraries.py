@@ -1,0 +1,108 @@
+"""Libraries that do more at their import than to be there: report their use, take signals.
+
+`prepare` is called when one of the four packages is imported, before any of these libraries:
+
+- Variables of the environment switch off what a library would send to its makers. onnxruntime 1.32
+  writes a device id and a queue of events below the home folder when it is imported, and looks up
+  an address; Ray reports statistics of use. The processes that a command starts inherit them. A
+  variable that the user has set stays.
+- The log library within pycolmap handles SIGTERM by itself, with a stack trace. While pycolmap
+  loads, SIGINT and SIGTERM wait; behind it, the handlers of Python are installed again. Threads
+  that other libraries started would still take a signal meanwhile: commands import pycolmap first.
+"""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+
+UNREPORTED = {
+    "ORT_DISABLE_TELEMETRY": "1",  # onnxruntime
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_DISABLE_USAGE_STATS_PROMPT": "1",
+    "NO_MKDOCS_2_WARNING": "true",
+    "HF_HUB_DISABLE_TELEMETRY": "1",
+    "LIGHTNING_DISABLE_VERSION_CHECK": "1",
+    "NO_ALBUMENTATIONS_UPDATE": "1",
+    "DO_NOT_TRACK": "1",  # what several libraries ask before they report
+}
+
+TAKES_SIGNALS = frozenset({"pycolmap", "pycolmap._core"})
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def prepare() -> None:
+    """Switch reports off, and see to the signals at imports to come."""
+    for name, value in UNREPORTED.items():
+        os.environ.setdefault(name, value)
+    if _FINDER not in sys.meta_path:
+        sys.meta_path.insert(0, _FINDER)
+
+
+def keep_handlers() -> None:
+    """Install Python's handlers again after a library replaced them."""
+    if threading.current_thread() is threading.main_thread():
+        for number in SIGNALS:
+            handler = signal.getsignal(number)
+            if handler is not None:
+                signal.signal(number, handler)
+
+
+@contextmanager
+def signals_waiting() -> Iterator[None]:
+    """SIGINT and SIGTERM wait until the block ends, with the handlers as they were before it.
+
+    Only in the main thread, where signals are handled.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        keep_handlers()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Finder(MetaPathFinder):
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None = None,
+        target: ModuleType | None = None,
+    ) -> ModuleSpec | None:
+        """The library as it is found otherwise, loaded while signals wait; else None."""
+        if fullname not in TAKES_SIGNALS:
+            return None
+        spec = PathFinder.find_spec(fullname, path, target)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _Waiting(spec.loader)
+        return spec
+
+
+class _Waiting(Loader):
+    """The loader of a library, while signals wait."""
+
+    def __init__(self, loader: Loader) -> None:
+        self.loader = loader
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        with signals_waiting():
+            return self.loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        with signals_waiting():
+            self.loader.exec_module(module)
+
+    def __getattr__(self, name: str) -> object:  # get_resource_reader, and what else it has
+        return getattr(self.loader, name)
+
+
+_FINDER = _Finder()
