@@ -13,6 +13,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import fields, replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -32,6 +33,28 @@ Config = TypeVar("Config")
 
 _TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
 _FALSITIES = {"false": False, "no": False, "off": False, "0": False}
+
+
+_ALLOW = "if you trust it, run it with --allow-code and without --plan"
+
+# What names plug-ins now, if that is no command line.
+_refused: ContextVar[str | None] = ContextVar("refused", default=None)
+
+
+@contextmanager
+def names_of(document: str) -> Iterator[None]:
+    """Names of plug-ins come from a document here: only those that are known are taken.
+
+    `file.py:NAME` and `package.module:NAME` run code, which is for the user to name.
+
+    Args:
+        document: what it is, for the error.
+    """
+    token = _refused.set(document)
+    try:
+        yield
+    finally:
+        _refused.reset(token)
 
 
 def _module_of_file(path: str) -> ModuleType:
@@ -110,6 +133,10 @@ class Registry(Generic[T]):
             if entry.name == name:
                 return self._loaded(entry.load, entry.value)
         if ":" in name:
+            if (document := _refused.get()) is not None:
+                raise ToolkitError(
+                    f"{document} names code, which is not loaded", value=name, hint=_ALLOW
+                )
             return self._import(name)
         raise ToolkitError(
             f"no plug-in with this name in {self.group}",

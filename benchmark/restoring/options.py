@@ -8,6 +8,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.importers.options import ImageOptions
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 Backend = Literal["auto", "onnx", "torch"]
@@ -44,7 +45,7 @@ class RestoreOptions:
 
     sources: tuple[Path, ...] = field(default=(), metadata={"option": ""})
     """folders or files of recordings"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("parts")})
     """folder of results; of several recordings, each has a folder in it"""
     choice: MethodChoice = field(default_factory=MethodChoice)
     device: str = "cpu"
@@ -95,9 +96,9 @@ class LiveOptions:
     """images per second of the camera"""
     web: int | None = None
     """port of a preview page for a browser on this machine"""
-    preview: Path | None = None
+    preview: Path | None = field(default=None, metadata={"writes": Writes("file")})
     """JPEG file that is replaced continuously"""
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata={"writes": Writes("new")})
     """new folder that keeps the camera's images and what is restored"""
     frames: Annotated[int, msgspec.Meta(ge=1)] | None = None
     """stop after this number of restored frames"""
@@ -128,7 +129,7 @@ class ExportOptions:
     ONNX.
     """
 
-    out: Path = field(metadata={"option": "onnx"})
+    out: Path = field(metadata={"option": "onnx", "writes": Writes("file")})
     """the file to write, FILE.onnx"""
     choice: MethodChoice = field(default_factory=MethodChoice)
 

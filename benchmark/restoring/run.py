@@ -39,7 +39,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.images import read_depth
 from std_toolkit.jobs import run_jobs
-from std_toolkit.jobs.artefact import begin
+from std_toolkit.jobs.artefact import begin, check_begun
 
 # Every process holds a network; more than this many gain little beside the disk.
 _MOST_WORKERS = 8
@@ -219,14 +219,16 @@ def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: Exi
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ToolkitError(f"cannot make the folder: {error.strerror}", path=out) from error
+    hint, beside = "choose another --out", ("recordings",)
+    check_begun(out / RECORD, hint=hint, beside=beside)
     locks.enter_context(hold_lock(out, "lock", doing="writing to"))
     begin(
         out / RECORD,
         record,
         within=["setup"],
         what="these results were",
-        hint="choose another --out",
-        beside=("recordings",),
+        hint=hint,
+        beside=beside,
     )
     if recording.frames[0].undistortion is not None:
         write_intrinsics(out / INTRINSICS, recording.frames[0].camera)

@@ -16,7 +16,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.jobs.artefact import begin
+from std_toolkit.jobs.artefact import begin, check_begun
 from std_toolkit.jobs.outcome import error_of
 
 _WAYS = {"cubic": cv2.INTER_CUBIC, "area": cv2.INTER_AREA}
@@ -56,6 +56,7 @@ def pack_split(
         frames_sha256=names_digest(source.keys()),
         **{field.name: getattr(options, field.name) for field in fields(PackOptions)},
     )
+    check_begun(folder / shards.PACK, hint="choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into", what="folder"):
         begin(folder / shards.PACK, setup, what="this pack was", hint="choose another folder")

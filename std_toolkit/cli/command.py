@@ -16,7 +16,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
+from std_toolkit.cli.command_options import (
+    UsageError,
+    parse_options,
+    print_completion,
+    values_of,
+)
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
 from std_toolkit.jobs.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.log import log_to_stderr
@@ -134,6 +139,7 @@ class Program:
     def _run(self, command: Command, words: list[str]) -> int:
         options, common = parse_options(_load(command.options), words, self._title(command))
         log_to_stderr(logging.WARNING if common.quiet else logging.INFO)
+        from std_toolkit.jobs.door import opened
 
         if common.limits is not None:
             from std_toolkit.settings import read_settings, use
@@ -142,8 +148,13 @@ class Program:
                 use(read_settings(common.limits))
             except ToolkitError as error:
                 raise UsageError(str(error)) from error
+
+        def run() -> int:
+            with opened(values_of(options), self._title(command)):
+                return _load(command.run)(options) or 0
+
         return exit_status(
-            lambda: _load(command.run)(options) or 0,
+            run,
             program=self.name,
             debug=common.debug,
             on_interrupt=self.on_interrupt,

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics, named_lens
+from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.documents import read_document
 from std_toolkit.io.foreign_files import read_npy
 from std_toolkit.log import logger
@@ -296,6 +297,7 @@ def _read_colmap(folder: Path) -> FiledCameras:
 
     from std_toolkit.poses.colmap import from_colmap_camera, from_rigid3d, quiet_colmap
 
+    check_colmap_model(folder)
     try:
         with quiet_colmap():
             model = pycolmap.Reconstruction(folder)

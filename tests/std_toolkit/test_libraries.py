@@ -22,11 +22,6 @@ STATED = (
     ".cache/mesa_shader_cache",
     ".cache/std-toolkit/",
 )
-    ".cache/matplotlib/",
-    ".cache/fontconfig/",
-    ".cache/mesa_shader_cache",
-    ".cache/std-toolkit/",
-)
 
 # Of a process whose home folder is empty: what leaves the machine is an error, and told.
 NO_NETWORK = """

@@ -26,7 +26,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.jobs.artefact import begin
+from std_toolkit.jobs.artefact import begin, check_begun
 
 # A point on an object has the grasps of the labelled point that is nearest, unless that is
 # farther than so many spacings.
@@ -73,6 +73,7 @@ def pack_grasps(
     options = options or GraspPackOptions()
     if scenes < 1:
         raise ToolkitError("must be at least 1", field="scenes", value=scenes)
+    check_begun(folder / pack_files.PACK, hint="choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into", what="folder"):
         begin_pack(folder, options, network)

@@ -145,7 +145,7 @@ def test_a_wrong_recipe_is_told_in_one_line(old: str, new: str, told: str, tmp_p
 def test_what_there_is_not(tmp_path: Path) -> None:
     with pytest.raises(ToolkitError, match=r"no such recipe \(got 'nope'\); one of main-comp"):
         load_recipe("nope")
-    with pytest.raises(ToolkitError, match="cannot read the file: No such file"):
+    with pytest.raises(ToolkitError, match="cannot read the TOML file: No such file"):
         load_recipe(str(tmp_path / "nope.toml"))
     with pytest.raises(ToolkitError, match=r"--scale: no such scale \(got 'huge'\); one of tiny"):
         get_scale("huge")
