@@ -62,6 +62,8 @@ def fit(
     with ExitStack() as stack:
         if is_first:
             check_begun(folder / CONFIG, hint="choose another --out")
+            data.training.check(data.of_training)
+            data.validation.check(data.of_validation)
             folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(hold_lock(folder, "lock", doing="training in", what="folder"))
             begin(folder, config)

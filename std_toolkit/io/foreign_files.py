@@ -51,18 +51,23 @@ def read_npy(path: Path) -> NDArray[Any]:
     return _npy(path, lambda file, header: np.fromfile(file, header.dtype, header.count))
 
 
-def mapped_npy(path: Path) -> NDArray[Any]:
+def mapped_npy(path: Path, records: np.dtype[Any] | None = None) -> NDArray[Any]:
     """A .npy file with an array of numbers, read from the disk where it is used; read-only.
+
+    Args:
+        records: type of the records that it must hold instead of numbers.
 
     Raises:
         ToolkitError: as `read_npy`.
     """
 
     def mapped(file: BinaryIO, header: _Header) -> NDArray[Any]:
+        if not header.count:
+            return np.empty(0, header.dtype)
         at = file.tell()
         return np.memmap(file, header.dtype, "r", offset=at, shape=(header.count,))
 
-    return _npy(path, mapped)
+    return _npy(path, mapped, records)
 
 
 @dataclass(frozen=True)
@@ -79,10 +84,14 @@ class _Header:
         return math.prod(self.shape)
 
 
-def _npy(path: Path, load: Callable[[BinaryIO, _Header], NDArray[Any]]) -> NDArray[Any]:
+def _npy(
+    path: Path,
+    load: Callable[[BinaryIO, _Header], NDArray[Any]],
+    records: np.dtype[Any] | None = None,
+) -> NDArray[Any]:
     try:
         with open_regular_file(path, "array", _LARGEST_NPY_BYTES) as file:
-            header = _npy_header(file, path)
+            header = _npy_header(file, path, records)
             found = load(file, header)
     except (
         *(ValueError, OSError, EOFError, TypeError, SyntaxError, RecursionError, MemoryError),
@@ -93,13 +102,13 @@ def _npy(path: Path, load: Callable[[BinaryIO, _Header], NDArray[Any]]) -> NDArr
     return found.reshape(header.shape, order="F" if header.fortran else "C")
 
 
-def _npy_header(file: BinaryIO, path: Path) -> _Header:
+def _npy_header(file: BinaryIO, path: Path, records: np.dtype[Any] | None) -> _Header:
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0
     shape, fortran, dtype = (
         read(file) if version == (1, 0) else np.lib.format.read_array_header_2_0(file)
     )
-    if dtype.kind not in "biuf":
+    if dtype != records and (records is not None or dtype.kind not in "biuf"):
         raise ToolkitError("not a numpy array of numbers", path=path, value=str(dtype))
     header = _Header(tuple(int(n) for n in shape), bool(fortran), dtype)
     if min(header.shape, default=0) < 0:

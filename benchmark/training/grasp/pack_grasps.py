@@ -1,6 +1,5 @@
 """Generates and packs scenes of labelled grasps."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
@@ -190,7 +189,10 @@ def write_scene(
     ends = np.cumsum([len(c) for c in clouds]).tolist()
     frames = [
         pack_files.PackedView(
-            begin=b, end=e, T_world_cam=T.matrix().ravel().tolist(), digest=_digest(c)
+            begin=b,
+            end=e,
+            T_world_cam=T.matrix().ravel().tolist(),
+            digest=pack_files.digest_of_points(c),
         )
         for b, e, T, c in zip([0, *ends], ends, cameras, clouds, strict=False)
     ]
@@ -267,7 +269,3 @@ def _write_meshes(path: Path, objects: Sequence[tabletop.TableObject]) -> None:
         arrays[f"faces{number}"] = np.asarray(obj.faces, np.int32)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
-
-
-def _digest(cloud: NDArray[np.float32]) -> str:
-    return hashlib.blake2b(cloud.tobytes(), digest_size=8).hexdigest()
