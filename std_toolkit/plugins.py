@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import traceback
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -57,10 +58,36 @@ def names_of(document: str) -> Iterator[None]:
         _refused.reset(token)
 
 
+# Files and top-level packages of plug-ins that are loaded, by the names of their modules.
+_loaded_from: dict[str, str] = {}
+
+
+def error_of_plugin(error: BaseException) -> ToolkitError | None:
+    """The error to report for one that a plug-in raised, or that came while one was in use.
+
+    Args:
+        error: unexpected, none of the toolkit's own.
+
+    Returns:
+        An error that names the file of the plug-in and the line; None without a plug-in.
+    """
+    if isinstance(error, ToolkitError) or not _loaded_from:
+        return None
+    text = " ".join(f"{type(error).__name__}: {error}".split())[:500]
+    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+        name = str(frame.f_globals.get("__name__", ""))
+        if name in _loaded_from or name.partition(".")[0] in _loaded_from:
+            where = f"line {line}, {frame.f_code.co_name}"
+            hint = "an error of the plug-in; --debug prints the traceback"
+            return ToolkitError(text, path=frame.f_code.co_filename, field=where, hint=hint)
+    file = list(_loaded_from.values())[-1]
+    hint = "does the plug-in give what CONTRIBUTING.md says? --debug prints the traceback"
+    return ToolkitError(text, path=file, hint=hint)
+
+
 def _module_of_file(path: str) -> ModuleType:
     """The module loaded from a file; the file is executed once."""
-    file = Path(path).resolve()
-    name = f"plug-in {file}"
+    file, name = Path(path).resolve(), _name_of(path)
     if name not in sys.modules:
         if not file.is_file():
             raise FileNotFoundError(f"no such file: {path}")
@@ -76,8 +103,14 @@ def _module_of_file(path: str) -> ModuleType:
     return sys.modules[name]
 
 
+def _name_of(path: str) -> str:
+    return f"plug-in {Path(path).resolve()}"
+
+
 # The other packages of this distribution.
 SIBLINGS = frozenset({"annotator", "benchmark", "sensors"})
+
+OWN = SIBLINGS | {"std_toolkit"}
 
 
 class Registry(Generic[T]):
@@ -131,6 +164,9 @@ class Registry(Generic[T]):
             return self._import(self._targets[name])
         for entry in self._entries():
             if entry.name == name:
+                module = entry.value.partition(":")[0].partition(".")[0]
+                if module not in OWN:
+                    _loaded_from[module] = module
                 return self._loaded(entry.load, entry.value)
         if ":" in name:
             if (document := _refused.get()) is not None:
@@ -147,6 +183,10 @@ class Registry(Generic[T]):
     def _import(self, target: str) -> T:
         module, _, attribute = target.rpartition(":")
         load = _module_of_file if module.endswith(".py") else importlib.import_module
+        if module.endswith(".py"):
+            _loaded_from[_name_of(module)] = module
+        elif module.partition(".")[0] not in OWN:
+            _loaded_from[module.partition(".")[0]] = module
         return self._loaded(lambda: getattr(load(module), attribute), target)
 
     def _loaded(self, load: Callable[[], Any], target: str) -> T:

@@ -25,6 +25,7 @@ from std_toolkit.cli.command_options import (
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
 from std_toolkit.jobs.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.log import log_to_stderr
+from std_toolkit.plugins import error_of_plugin
 
 WRONG_USAGE = 2
 SHELLS = ("bash", "zsh", "fish")
@@ -224,10 +225,14 @@ def exit_status(
 
 def _failure(error: BaseException, program: str, debug: bool) -> int:
     """Report an error in one line; raises it again if it is none of the command, or to debug it."""
-    if debug or isinstance(error, BrokenPipeError) or not isinstance(error, Exception):
+    plugin = error_of_plugin(error)
+    ends = not isinstance(error, Exception) and (plugin is None or plugin.field is None)
+    if debug or isinstance(error, BrokenPipeError) or ends:
         raise error
     if isinstance(error, ToolkitError):
         shown: BaseException | str = error
+    elif plugin is not None and not isinstance(error, OSError) and missing_extra(error) is None:
+        shown = plugin
     elif isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         shown = f"{where}{error.strerror or error}"
