@@ -75,6 +75,16 @@ class RestoreOptions:
             raise ToolkitError(
                 "needed", field="SOURCES", hint="or give images with --color and --depth"
             )
+        scale, correction = self.images.depth_scale, self.images.depth_correction
+        if scale is not None and not 0 < scale <= 1:
+            raise ToolkitError(
+                "must be metres per unit of the depth images, above 0 and at most 1",
+                field="--depth-scale", value=scale, hint="millimetres: 0.001",
+            )  # fmt: skip
+        if not 0.8 < correction < 1.25:
+            raise ToolkitError(
+                "must be between 0.8 and 1.25", field="--depth-correction", value=correction
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +106,9 @@ class LiveOptions:
     """images per second of the camera"""
     web: int | None = None
     """port of a preview page for a browser on this machine"""
+    token: str | None = None
+    """secret that the preview page asks for, as ?token=... behind its address
+    ($STD_PREVIEW_TOKEN, which other users of this computer cannot see)"""
     preview: Path | None = field(default=None, metadata={"writes": Writes("file")})
     """JPEG file that is replaced continuously"""
     out: Path | None = field(default=None, metadata={"writes": Writes("new")})

@@ -115,6 +115,9 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
     restorer = Restorer.of(options.choice, device=options.device, backend=options.backend)
     pictures = options.pictures
     setup = setup_of(options.choice, restorer, options.depth_format, options.points, pictures)
+    if restorer.options.weights is not None and restorer.options.weights.suffix == ".onnx":
+        # Somebody else's graph may fail, or run on without end: once, before all frames do.
+        _try_first(restorer, recordings[0].frames[0])
     del restorer
     report = RestoreReport()
     with ExitStack() as locks:
@@ -149,6 +152,20 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
         for recording in recordings:
             _write_video(report, recording, setup, options.video)
     return report
+
+
+def _try_first(restorer: Restorer, frame: FrameFiles) -> None:
+    """Restore a frame and write nothing.
+
+    Raises:
+        ToolkitError: the network fails, or takes too long.
+    """
+    try:
+        color, sensor = frame.read()
+    except ToolkitError:
+        return  # reported with its frame
+    if (sensor > 0).any():
+        restorer.restore_view(color, sensor, frame.camera)
 
 
 def _write_video(

@@ -155,6 +155,9 @@ class RecordCommand:
     """JPEG file that is replaced continuously"""
     web: int | None = None
     """port of a preview page for a browser on this machine"""
+    token: str | None = None
+    """secret that the preview page asks for, as ?token=... behind its address
+    ($STD_PREVIEW_TOKEN, which other users of this computer cannot see)"""
     wait: bool = False
     """only show the preview until Enter is pressed"""
     session: SessionOptions = field(default_factory=SessionOptions)

@@ -80,6 +80,12 @@ class ScanOptions:
                 "needs the board, which tells what is upright", field="--wall-mm",
                 value=self.wall_mm, hint="leave it out with --cameras",
             )  # fmt: skip
+        for option, given in (("--pick", self.pick), ("--box", self.box)):
+            if given is not None and self.board is None:
+                raise ToolkitError(
+                    "chooses one of several objects on the board", field=option, value=given,
+                    hint="give --board FILE, or masks with --masks",
+                )  # fmt: skip
         if self.flipped is None:
             return
         if self.photos.resolve() == self.flipped.resolve():
