@@ -7,11 +7,12 @@ from pathlib import Path
 from benchmark.cli import commands
 from std_toolkit.cli.command import Program, print_json
 from std_toolkit.errors import ToolkitError
-from std_toolkit.jobs.door import Writes, has_record, own_files
+from std_toolkit.jobs.door import Writes, has_record, output, own_files
 
 PAGE = "report.html"
 NAME = "citations.bib"
 _LARGEST_PAGE = 256 * 2**20
+_OUT = Writes("files")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +25,7 @@ class ReportOptions:
 
     results: tuple[Path, ...]
     """folders that std-bench wrote"""
-    out: Path | None = field(default=None, metadata={"writes": Writes("files")})
+    out: Path | None = field(default=None, metadata={"writes": _OUT})
     """folder of the page (the first folder of results)"""
     published: bool = True
     """the figures that papers print"""
@@ -49,7 +50,8 @@ def report(options: ReportOptions) -> int:
     texts = {name: text for part in parts for name, text in part.files.items()}
     texts[PAGE] = render_page(parts)
     used = names_of_runs(options.results, [task.manifest for task in TASKS])
-    with own_files(out, [*texts, NAME], known=_earlier(out, [*texts, NAME])):
+    names = [*texts, NAME]
+    with output(out, _OUT, "std-report"), own_files(out, names, known=_earlier(out, names)):
         for name, text in texts.items():
             write_bytes_atomic(out / name, text.encode())
         write_citations(out, used)

@@ -33,11 +33,11 @@ _DEEPEST_YAML = 40
 _LARGEST_JSON_BYTES = 16 * 1024 * 1024
 _LARGEST_NPY_BYTES = 2**40
 _MOST_PARTS = 20
-# A string or a comment; or one sign that parts keys, tables and values.
+# A string, a comment or a long number; or one sign that parts keys, tables and values.
 _TOML_SIGNS = re.compile(
     r'"""(?:[^\\]|\\.)*?(?:"""|\Z)|"(?:[^"\\\n]|\\.)*"|'
     r"'''.*?(?:'''|\Z)|'[^'\n]*'|#[^\n]*|"
-    r"[][{}=,.\n]",
+    r"\b\d[\da-fA-F_]{40,}|[][{}=,.\n]",
     re.DOTALL,
 )
 
@@ -173,10 +173,13 @@ def read_toml(path: Path, type_: type[T]) -> T:
 
 
 def _check_toml(text: str, path: Path) -> None:
-    """Refuse deep nesting and long keys, by their signs outside of strings and comments."""
+    """Refuse deep nesting, long keys and long numbers, by their signs outside of strings and comments."""
     depth = parts = 0
     for found in _TOML_SIGNS.finditer(text):
         sign = found[0]
+        if sign[0].isdigit():
+            line = text.count("\n", 0, found.start()) + 1
+            raise ToolkitError("a number is implausibly long", path=path, field=f"line {line}")
         if len(sign) > 1:
             continue  # a string or a comment
         depth += (sign in "[{") - (sign in "]}")

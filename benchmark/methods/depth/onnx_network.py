@@ -104,6 +104,7 @@ class OnnxNetwork:
         import onnxruntime
 
         options = onnxruntime.RunOptions()
+        options.log_severity_level = 4  # a failure is reported below
         late = threading.Event()
 
         def end() -> None:
