@@ -3,10 +3,11 @@
     python tools/kills.py [COMMAND ...] [--kills 50] [--seed 0] [--work DIR]
 
 Commands: import (with camera poses), export, curate (`std-curate run`), bench, restore, sim, scan,
-pack, train, annotate (a script of edits and saves), web and window (`std-annotate` with edits that were not saved, which are saved at the
-end); all by default. A third of the kills each are SIGKILL, SIGTERM and SIGINT. The latter two must
-end the command within 5 s, with a line that says how to resume unless nothing was begun or all was
-done, and without a stack trace of a library. Of meshes, the triangles are compared, as Open3D lays out a texture differently each time.
+pack, train, annotate (a script of edits and saves), web and window (`std-annotate` with edits that
+were not saved, which are saved at the end); all by default. A third of the kills each are SIGKILL,
+SIGTERM and SIGINT. The latter two must end the command within 5 s, with a line that says how to
+resume unless nothing was begun or all was done, and without a stack trace of a library. Of meshes,
+the triangles are compared, as Open3D lays out a texture differently each time.
 Prints a line per kill, with the processor time from the signal on, and a table; exits with 1 after
 a fault.
 """
