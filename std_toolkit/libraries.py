@@ -1,4 +1,4 @@
-"""Libraries that do more at their import than to be there: report their use, take signals.
+"""Libraries that do more than they are asked: report their use, take signals, fill the memory.
 
 `prepare` is called when one of the four packages is imported, before any of these libraries:
 
@@ -9,6 +9,7 @@
 - The log library within pycolmap handles SIGTERM by itself, with a stack trace. While pycolmap
   loads, SIGINT and SIGTERM wait; behind it, the handlers of Python are installed again. Threads
   that other libraries started would still take a signal meanwhile: commands import pycolmap first.
+- rosbags unpacks whatever a recording claims; see `std_toolkit.io.bounded_bags`.
 """
 
 import os
@@ -34,6 +35,11 @@ UNREPORTED = {
 
 TAKES_SIGNALS = frozenset({"pycolmap", "pycolmap._core"})
 
+# Modules that unpack recordings, and what bounds that.
+UNPACKS = frozenset(
+    {"rosbags.rosbag1.reader", "rosbags.rosbag2.reader", "rosbags.rosbag2.storage_mcap"}
+)
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -43,6 +49,8 @@ def prepare() -> None:
         os.environ.setdefault(name, value)
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)
+        for name in UNPACKS & sys.modules.keys():  # imported before this package
+            _bound(sys.modules[name])
 
 
 def keep_handlers() -> None:
@@ -79,19 +87,44 @@ class _Finder(MetaPathFinder):
         target: ModuleType | None = None,
     ) -> ModuleSpec | None:
         """The library as it is found otherwise, loaded while signals wait; else None."""
-        if fullname not in TAKES_SIGNALS:
+        kind = _Waiting if fullname in TAKES_SIGNALS else _Bounding
+        if fullname not in TAKES_SIGNALS | UNPACKS:
             return None
         spec = PathFinder.find_spec(fullname, path, target)
         if spec is not None and spec.loader is not None:
-            spec.loader = _Waiting(spec.loader)
+            spec.loader = kind(spec.loader)
         return spec
 
 
-class _Waiting(Loader):
-    """The loader of a library, while signals wait."""
+class _Wrapped(Loader):
+    """The loader of a library, with more around it."""
 
     def __init__(self, loader: Loader) -> None:
         self.loader = loader
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return self.loader.create_module(spec)
+
+    def __getattr__(self, name: str) -> object:  # get_resource_reader, and what else it has
+        return getattr(self.loader, name)
+
+
+class _Bounding(_Wrapped):
+    """The loader of a module that unpacks, which is then bounded."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        self.loader.exec_module(module)
+        _bound(module)
+
+
+def _bound(module: ModuleType) -> None:
+    from std_toolkit.io.bounded_bags import bound
+
+    bound(module)
+
+
+class _Waiting(_Wrapped):
+    """The loader of a library, while signals wait."""
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
         with signals_waiting():
@@ -100,9 +133,6 @@ class _Waiting(Loader):
     def exec_module(self, module: ModuleType) -> None:
         with signals_waiting():
             self.loader.exec_module(module)
-
-    def __getattr__(self, name: str) -> object:  # get_resource_reader, and what else it has
-        return getattr(self.loader, name)
 
 
 _FINDER = _Finder()

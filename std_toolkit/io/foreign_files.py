@@ -173,7 +173,7 @@ def read_toml(path: Path, type_: type[T]) -> T:
 
 
 def _check_toml(text: str, path: Path) -> None:
-    """Refuse deep nesting, long keys and long numbers, by their signs outside of strings and comments."""
+    """Refuse deep nesting, long keys and long numbers outside of strings and comments."""
     depth = parts = 0
     for found in _TOML_SIGNS.finditer(text):
         sign = found[0]
