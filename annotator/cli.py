@@ -59,10 +59,12 @@ def compare(options: CompareCommand) -> int:
     from annotator.compare.comparison_report import (
         comparison_document,
         comparison_lines,
+        file_names,
         write_csv,
         write_pictures,
         write_tables,
     )
+    from std_toolkit.jobs.door import own_files
     from std_toolkit.scene.scene import Scene
 
     comparison = compare_labels(Scene.open(options.a), Scene.open(options.b), options.options)
@@ -73,7 +75,9 @@ def compare(options: CompareCommand) -> int:
     if options.csv is not None:
         write_csv(comparison, options.csv)
     if options.out is not None:
-        written = [*write_tables(comparison, options.out), *write_pictures(comparison, options.out)]
+        with own_files(options.out, file_names(comparison)):
+            written = write_tables(comparison, options.out)
+            written += write_pictures(comparison, options.out)
         if not options.json:
             print(f"written: {', '.join(str(p) for p in written)}")
     return 1 if comparison.disagreements else 0

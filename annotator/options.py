@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.door import Writes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +22,7 @@ class AnnotateOptions:
     disk immediately; unsaved edits are offered for recovery when the scene is opened again.
     """
 
-    scene: Path | None = field(default=None, metadata={"option": ""})
+    scene: Path | None = field(default=None, metadata={"option": "", "writes": Writes("scene")})
     """scene folder (the window asks for one)"""
     annotator: str | None = None
     """who annotates (the user of this computer)"""
@@ -103,9 +104,9 @@ class CompareCommand:
     b: Path
     """scene folder of the other"""
     options: CompareOptions = field(default_factory=CompareOptions)
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata={"writes": Writes("files")})
     """folder for agreement.csv, frames.csv, agreement.json and an image of every disagreement"""
-    csv: Path | None = None
+    csv: Path | None = field(default=None, metadata={"writes": Writes("file")})
     """file for the table of objects"""
     json: bool = False
     """print JSON"""
@@ -122,9 +123,9 @@ class MergeCommand:
 
     scenes: tuple[Path, ...]
     """scene folder of each annotator"""
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata={"writes": Writes("new")})
     """new scene folder: a copy of the first one's recording and camera poses"""
-    into: Path | None = None
+    into: Path | None = field(default=None, metadata={"writes": Writes("scene")})
     """another scene of the recording to write the labels into"""
     overwrite: bool = False
     """with --into: replace all existing labels"""

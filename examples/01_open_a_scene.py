@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from sensors.synthetic import RecordingOptions, make_recording
-from std_toolkit import ImportRequest, JobOptions, Scene, import_recording
+from std_toolkit import ImportRequest, JobOptions, Scene, ToolkitError, import_recording
 
 
 def synthetic_scene(folder: Path) -> Scene:
@@ -33,8 +33,11 @@ def show(scene: Scene) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        show(Scene.open(Path(sys.argv[1])))
-    else:
-        with TemporaryDirectory() as folder:
-            show(synthetic_scene(Path(folder)))
+    try:
+        if len(sys.argv) > 1:
+            show(Scene.open(Path(sys.argv[1])))
+        else:
+            with TemporaryDirectory() as folder:
+                show(synthetic_scene(Path(folder)))
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

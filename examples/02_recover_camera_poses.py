@@ -12,6 +12,7 @@ from std_toolkit import (
     ImportRequest,
     PoseOptions,
     Scene,
+    ToolkitError,
     estimate_poses,
     failed_gates,
     import_recording,
@@ -46,8 +47,11 @@ def recover(scene: Scene) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        recover(Scene.open(Path(sys.argv[1])))
-    else:
-        with TemporaryDirectory() as folder:
-            recover(synthetic_scene(Path(folder)))
+    try:
+        if len(sys.argv) > 1:
+            recover(Scene.open(Path(sys.argv[1])))
+        else:
+            with TemporaryDirectory() as folder:
+                recover(synthetic_scene(Path(folder)))
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

@@ -3,13 +3,14 @@
 python examples/03_label_from_clicks.py
 """
 
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from sensors.synthetic import RecordingOptions, make_recording, scene_from_truth
-from std_toolkit import JobOptions, propagate_labels, set_pose, solve_pnp
+from std_toolkit import JobOptions, ToolkitError, propagate_labels, set_pose, solve_pnp
 
 
 def main(folder: Path) -> None:
@@ -41,5 +42,8 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    with TemporaryDirectory() as temporary:
-        main(Path(temporary))
+    try:
+        with TemporaryDirectory() as temporary:
+            main(Path(temporary))
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

@@ -8,7 +8,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from sensors.synthetic import RecordingOptions, make_recording, scene_from_truth
-from std_toolkit import JobOptions, Scene, read_ground_truth, render_ground_truth, rendered_frames
+from std_toolkit import (
+    JobOptions,
+    Scene,
+    ToolkitError,
+    read_ground_truth,
+    render_ground_truth,
+    rendered_frames,
+)
 
 
 def synthetic_scene(folder: Path) -> Scene:
@@ -32,8 +39,11 @@ def render(scene: Scene) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        render(Scene.open(Path(sys.argv[1])))
-    else:
-        with TemporaryDirectory() as folder:
-            render(synthetic_scene(Path(folder)))
+    try:
+        if len(sys.argv) > 1:
+            render(Scene.open(Path(sys.argv[1])))
+        else:
+            with TemporaryDirectory() as folder:
+                render(synthetic_scene(Path(folder)))
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

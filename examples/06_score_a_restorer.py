@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from benchmark import evaluate
 from sensors.synthetic import RecordingOptions, make_recording, scene_from_truth
-from std_toolkit import JobOptions, render_ground_truth
+from std_toolkit import JobOptions, ToolkitError, render_ground_truth
 
 
 def synthetic_scenes(folder: Path) -> Path:
@@ -30,8 +30,11 @@ def main(scenes: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        main(Path(sys.argv[1]))
-    else:
-        with TemporaryDirectory() as folder:
-            main(synthetic_scenes(Path(folder)))
+    try:
+        if len(sys.argv) > 1:
+            main(Path(sys.argv[1]))
+        else:
+            with TemporaryDirectory() as folder:
+                main(synthetic_scenes(Path(folder)))
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

@@ -6,6 +6,7 @@ python examples/07_write_your_own_restorer.py
 scores it beside the built-in ones.
 """
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmark import MethodOptions, Restored, View, evaluate
+from std_toolkit import ToolkitError
 
 
 class MedianDepth:
@@ -48,5 +50,8 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    with TemporaryDirectory() as temporary:
-        main(Path(temporary))
+    try:
+        with TemporaryDirectory() as temporary:
+            main(Path(temporary))
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

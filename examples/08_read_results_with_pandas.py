@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import pandas as pd
 
 from benchmark import evaluate, read_results
+from std_toolkit import ToolkitError
 
 
 def table(results: Path) -> pd.DataFrame:
@@ -36,6 +37,9 @@ def example_results(folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    with TemporaryDirectory() as temporary:
-        given = Path(sys.argv[1]) if len(sys.argv) > 1 else example_results(Path(temporary))
-        print(table(given).round(1).to_string())
+    try:
+        with TemporaryDirectory() as temporary:
+            given = Path(sys.argv[1]) if len(sys.argv) > 1 else example_results(Path(temporary))
+            print(table(given).round(1).to_string())
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

@@ -15,7 +15,7 @@ import numpy as np
 from sensors.simulation.options import TurntableOptions
 from sensors.simulation.turntable import make_turntable
 from sensors.synthetic.shapes import tumbler
-from std_toolkit import ScanOptions, scan
+from std_toolkit import ScanOptions, ToolkitError, scan
 
 
 def photograph(folder: Path) -> np.ndarray:
@@ -48,8 +48,11 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        main(Path(sys.argv[1]))
-    else:
-        with TemporaryDirectory() as temporary:
-            main(Path(temporary))
+    try:
+        if len(sys.argv) > 1:
+            main(Path(sys.argv[1]))
+        else:
+            with TemporaryDirectory() as temporary:
+                main(Path(temporary))
+    except ToolkitError as error:
+        sys.exit(f"error: {error}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from std_toolkit.importers.options import ImportOptions
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import (
     CheckBasics,
     CheckOptions,
@@ -37,7 +38,7 @@ class ImportCommand:
     source: Path | None = field(default=None, metadata={"option": ""})
     """folder of a recording in a known format, or a recording of ROS (rosbag2, .mcap, .db3,
     .bag)"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("new")})
     """new scene folder"""
     name: str | None = None
     """name of the scene (default: name of its folder)"""
@@ -72,7 +73,7 @@ class DoctorCommand:
 class InfoCommand:
     """Print the contents of a scene, what is missing, and the next command."""
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
     frames: bool = False
     """list the frames instead: id, name, files, registered, labelled"""
@@ -89,7 +90,7 @@ class PosesCommand:
     1 and the poses are saved with the failed gate.
     """
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
     options: PoseOptions = field(default_factory=PoseOptions)
     json: bool = False
@@ -101,9 +102,9 @@ class PosesCommand:
 class TrajectoryCommand:
     """Write the camera poses, in metres, for other tools."""
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("place")})
     """output file; for colmap, output folder"""
     format: Literal["csv", "tum", "colmap", "nerf"] = "csv"
     """csv (one row per frame, T_world_cam row-major), tum, colmap (text model) or nerf
@@ -169,7 +170,7 @@ class LabelCommand:
 class LabelArguments(LabelCommand):
     __doc__ = LabelCommand.__doc__
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
 
 
@@ -177,7 +178,7 @@ class LabelArguments(LabelCommand):
 class PropagateCommand:
     """Compute one world pose for each labelled object, and from it the pose in every frame."""
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
     options: PropagateOptions = field(default_factory=PropagateOptions)
 
@@ -191,7 +192,7 @@ class RenderCommand:
     kept.
     """
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
     options: RenderOptions = field(default_factory=RenderOptions)
     frames: tuple[str, ...] | None = None
@@ -207,7 +208,7 @@ class CheckCommand:
     into labels.json. Exit status 1 if a label is wrong or doubtful, or a gate of the scene fails.
     """
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
     options: CheckOptions = field(default_factory=CheckOptions)
     json: bool = False
@@ -224,11 +225,11 @@ class ExportCommand:
     whose check failed, is refused.
     """
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
     format: str = field(metadata={"option": "format"})
     """std, bop, nocs or a plug-in"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("new")})
     """new output folder"""
     options: ExportOptions = field(default_factory=ExportOptions)
     jobs: JobOptions = field(default_factory=JobOptions)
@@ -243,7 +244,7 @@ class RunCommand:
     `std-curate check`.
     """
 
-    scene: Path
+    scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
     refine: bool = True
     """refinement: propagate the annotated poses unchanged"""
@@ -261,7 +262,7 @@ class SchemaCommand:
 
     document: str | None = field(default=None, metadata={"option": ""})
     """name of a document, such as scene or poses"""
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata={"writes": Writes("parts")})
     """write all schemas to this folder"""
 
 

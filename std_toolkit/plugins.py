@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import importlib
 import sys
+import traceback
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import fields, replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -21,6 +23,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from std_toolkit import libraries
 from std_toolkit.errors import ToolkitError, missing_extra
 
 if TYPE_CHECKING:
@@ -33,10 +36,58 @@ _TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
 _FALSITIES = {"false": False, "no": False, "off": False, "0": False}
 
 
+_ALLOW = "if you trust it, run it with --allow-code and without --plan"
+
+# What names plug-ins now, if that is no command line.
+_refused: ContextVar[str | None] = ContextVar("refused", default=None)
+
+
+@contextmanager
+def names_of(document: str) -> Iterator[None]:
+    """Names of plug-ins come from a document here: only those that are known are taken.
+
+    `file.py:NAME` and `package.module:NAME` run code, which is for the user to name.
+
+    Args:
+        document: what it is, for the error.
+    """
+    token = _refused.set(document)
+    try:
+        yield
+    finally:
+        _refused.reset(token)
+
+
+# Files and top-level packages of plug-ins that are loaded, by the names of their modules.
+_loaded_from: dict[str, str] = {}
+
+
+def error_of_plugin(error: BaseException) -> ToolkitError | None:
+    """The error to report for one that a plug-in raised, or that came while one was in use.
+
+    Args:
+        error: unexpected, none of the toolkit's own.
+
+    Returns:
+        An error that names the file of the plug-in and the line; None without a plug-in.
+    """
+    if isinstance(error, ToolkitError) or not _loaded_from:
+        return None
+    text = " ".join(f"{type(error).__name__}: {error}".split())[:500]
+    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+        name = str(frame.f_globals.get("__name__", ""))
+        if name in _loaded_from or name.partition(".")[0] in _loaded_from:
+            where = f"line {line}, {frame.f_code.co_name}"
+            hint = "an error of the plug-in; --debug prints the traceback"
+            return ToolkitError(text, path=frame.f_code.co_filename, field=where, hint=hint)
+    file = list(_loaded_from.values())[-1]
+    hint = "does the plug-in give what CONTRIBUTING.md says? --debug prints the traceback"
+    return ToolkitError(text, path=file, hint=hint)
+
+
 def _module_of_file(path: str) -> ModuleType:
     """The module loaded from a file; the file is executed once."""
-    file = Path(path).resolve()
-    name = f"plug-in {file}"
+    file, name = Path(path).resolve(), _name_of(path)
     if name not in sys.modules:
         if not file.is_file():
             raise FileNotFoundError(f"no such file: {path}")
@@ -52,8 +103,14 @@ def _module_of_file(path: str) -> ModuleType:
     return sys.modules[name]
 
 
+def _name_of(path: str) -> str:
+    return f"plug-in {Path(path).resolve()}"
+
+
 # The other packages of this distribution.
 SIBLINGS = frozenset({"annotator", "benchmark", "sensors"})
+
+OWN = SIBLINGS | {"std_toolkit"}
 
 
 class Registry(Generic[T]):
@@ -107,8 +164,15 @@ class Registry(Generic[T]):
             return self._import(self._targets[name])
         for entry in self._entries():
             if entry.name == name:
+                module = entry.value.partition(":")[0].partition(".")[0]
+                if module not in OWN:
+                    _loaded_from[module] = module
                 return self._loaded(entry.load, entry.value)
         if ":" in name:
+            if (document := _refused.get()) is not None:
+                raise ToolkitError(
+                    f"{document} names code, which is not loaded", value=name, hint=_ALLOW
+                )
             return self._import(name)
         raise ToolkitError(
             f"no plug-in with this name in {self.group}",
@@ -119,6 +183,10 @@ class Registry(Generic[T]):
     def _import(self, target: str) -> T:
         module, _, attribute = target.rpartition(":")
         load = _module_of_file if module.endswith(".py") else importlib.import_module
+        if module.endswith(".py"):
+            _loaded_from[_name_of(module)] = module
+        elif module.partition(".")[0] not in OWN:
+            _loaded_from[module.partition(".")[0]] = module
         return self._loaded(lambda: getattr(load(module), attribute), target)
 
     def _loaded(self, load: Callable[[], Any], target: str) -> T:
@@ -245,6 +313,10 @@ _FINDER = _Finder()
 
 
 def install() -> None:
-    """Find the packages of this distribution before folders of the user with their names."""
+    """Find the packages of this distribution before folders of the user with their names.
+
+    Libraries do not report their use; see `std_toolkit.libraries`.
+    """
+    libraries.prepare()
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)

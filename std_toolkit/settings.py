@@ -26,7 +26,6 @@ import importlib
 import importlib.util
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,8 +39,6 @@ NOT_RECORDED = "not recorded"
 
 _PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 _GROUP = re.compile(r"[a-z_][a-z0-9_]*(\.[a-z_][a-z0-9_]*)*")
-# A file of settings is written by hand.
-_LARGEST_FILE_BYTES = 1 << 20
 
 
 def limit(value: Any, *, unit: str = "", source: str) -> Any:
@@ -162,15 +159,12 @@ def read_settings(path: Path) -> tuple[Settings, ...]:
         ToolkitError: the file cannot be read, a group or limit does not exist, or a value has
             another type than the default.
     """
+    from std_toolkit.io.foreign_files import read_toml
+
     try:
-        if path.stat().st_size > _LARGEST_FILE_BYTES:
-            raise ToolkitError("the file of settings is too large", path=path)
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ToolkitError(f"cannot be read: {error.strerror}", path=path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        hint = "`std-curate settings` prints such a file"
-        raise ToolkitError(f"no TOML: {error}", path=path, hint=hint) from error
+        tables = read_toml(path, dict[str, Any])
+    except ToolkitError as error:
+        raise error.revised(hint="`std-curate settings` prints such a file") from error
     return tuple(_from_table(name, table, path) for name, table in _groups(tables))
 
 

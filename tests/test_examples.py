@@ -98,3 +98,16 @@ def test_the_examples_of_docstrings_run(name: str) -> None:
     module = importlib.import_module(name)
     found = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
     assert found.attempted and not found.failed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["01_open_a_scene", "04_render_ground_truth"])
+def test_an_example_prints_an_error_as_one_line(name: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, str(REPOSITORY / f"examples/{name}.py"), str(tmp_path / "nothing")],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert [line[:7] for line in done.stderr.splitlines()] == ["error: "]

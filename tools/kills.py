@@ -2,11 +2,12 @@
 
     python tools/kills.py [COMMAND ...] [--kills 50] [--seed 0] [--work DIR]
 
-Commands: curate (`std-curate run`), bench, restore, sim, scan, train, annotate (a script of edits
-and saves), web and window (`std-annotate` with edits that were not saved, which are saved at the
-end); all by default. A third of the kills each are SIGKILL, SIGTERM and SIGINT. The latter two must
-end the command within 5 s, with a line that says how to resume unless nothing was begun or all was
-done. Of meshes, the triangles are compared, as Open3D lays out a texture differently each time.
+Commands: import (with camera poses), export, curate (`std-curate run`), bench, restore, sim, scan,
+pack, train, annotate (a script of edits and saves), web and window (`std-annotate` with edits that
+were not saved, which are saved at the end); all by default. A third of the kills each are SIGKILL,
+SIGTERM and SIGINT. The latter two must end the command within 5 s, with a line that says how to
+resume unless nothing was begun or all was done, and without a stack trace of a library. Of meshes,
+the triangles are compared, as Open3D lays out a texture differently each time.
 Prints a line per kill, with the processor time from the signal on, and a table; exits with 1 after
 a fault.
 """
@@ -124,10 +125,10 @@ def run(words: list[str]) -> None:
 def cases(top: Path, names: list[str]) -> dict[str, Case]:
     """The commands of these names, with their inputs."""
     makers = {
-        ("curate", "bench", "restore"): _scenes,
+        ("import", "export", "curate", "bench", "restore"): _scenes,
         ("sim",): _sim,
         ("scan",): _scan,
-        ("train",): _train,
+        ("pack", "train"): _train,
         ("annotate", "web", "window"): _annotate,
     }
     unknown = set(names) - {name for group in makers for name in group}
@@ -152,8 +153,33 @@ def _scenes(top: Path) -> dict[str, Case]:
         solved.parent.mkdir(exist_ok=True)
         shutil.copytree(labelled, solved)
         run(program("std-curate", "--quiet", "run", solved, *options))
+    cameras = top / "cameras.json"
+    if not cameras.exists():
+        _write_cameras(recording, cameras)
+    images = ("--color", recording / "color", "--depth", recording / "depth")
+    images = (*images, "--intrinsics", recording / "intrinsics.json")
+    known = ("--cameras", cameras, "--cameras-unit", "m")
     bench = ("--data", top / "data", "--split", "scenes", "--no-speed", "--workers", 2)
     return {
+        "import": Case(
+            lambda out: _once(
+                out / "scene",
+                program("std-curate", "--quiet", "import", *images, *known, "--out", out / "scene"),
+            ),
+            leave_out=(".std/",),
+            without=("time", "created"),
+        ),
+        "export": Case(
+            lambda out: _once(
+                out / "bop",
+                program(
+                    "std-curate", "--quiet", "export", solved, "--format", "bop", "--allow-wrong",
+                    "--out", out / "bop",
+                ),
+            ),
+            leave_out=(".std/",),
+            without=("time", "created"),
+        ),
         "curate": Case(
             lambda out: program("std-curate", "--quiet", "run", out, *options),
             lambda out: shutil.copytree(labelled, out, dirs_exist_ok=True),  # type: ignore[arg-type, return-value]
@@ -174,6 +200,20 @@ def _scenes(top: Path) -> dict[str, Case]:
             products=("depth/", "confidence/", "changed/"),
         ),
     }  # fmt: skip
+
+
+def _once(made: Path, words: list[str]) -> list[str]:
+    """The command, or nothing where a run before was finished: it takes no folder with content."""
+    return [sys.executable, "-c", ""] if made.exists() else words
+
+
+def _write_cameras(recording: Path, path: Path) -> None:
+    """The true camera poses of a synthetic recording, as `--cameras` reads them."""
+    from sensors.synthetic import read_truth
+
+    names = sorted(p.name for p in (recording / "color").iterdir())
+    poses = dict(zip(names, map(list, read_truth(recording).T_world_cam), strict=True))
+    path.write_text(json.dumps(poses))
 
 
 def _sim(top: Path) -> dict[str, Case]:
@@ -236,7 +276,16 @@ def _train(top: Path) -> dict[str, Case]:
         ),
         products=("last.safetensors", "best.safetensors", "best.json"),
     )  # fmt: skip
-    return {"train": case}
+    split = ("--split", "dreds-catknown-train", "--data", top / "dreds")
+    packing = Case(
+        lambda out: program(
+            "std-train", "pack", out / "pack", *split, "--size", 32, 32, "--shard", 2,
+            "--workers", 2,
+        ),
+        products=(".npy", ".json"),
+        leave_out=(".std/",),
+    )  # fmt: skip
+    return {"pack": packing, "train": case}
 
 
 def _annotate(top: Path) -> dict[str, Case]:
@@ -396,6 +445,8 @@ def _killed(
     if how == signal.SIGKILL:
         return True
     tally.slowest_s, tally.busiest_s = max(tally.slowest_s, took), max(tally.busiest_s, busy)
+    if any(line.startswith(("*** SIG", "*** Aborted")) for line in lines):
+        tally.fault(f"{told}: a stack trace: {lines[0]}")
     if took > LIMIT_S:
         tally.fault(f"{told}, at a load of {os.getloadavg()[0]:.0f}: too late")
     is_told = any(line.startswith("interrupted; ") for line in lines)

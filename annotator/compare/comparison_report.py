@@ -146,9 +146,18 @@ def write_csv(comparison: Comparison, path: Path) -> None:
     atomic.write_bytes_atomic(path, comparison.table.to_csv(index=False).encode())
 
 
+_TABLES = ("agreement.csv", "frames.csv", "agreement.json")
+
+
+def file_names(comparison: Comparison) -> list[str]:
+    """Names of the files that `write_tables` and `write_pictures` write."""
+    shown = [row.name for row in comparison.disagreements if row.frame is not None]
+    return [*_TABLES, *(f"pictures/{name}.png" for name in shown)]
+
+
 def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     """Write agreement.csv, frames.csv and agreement.json to `folder`; returns their paths."""
-    paths = [folder / name for name in ("agreement.csv", "frames.csv", "agreement.json")]
+    paths = [folder / name for name in _TABLES]
     write_csv(comparison, paths[0])
     atomic.write_bytes_atomic(paths[1], comparison.frame_table.to_csv(index=False).encode())
     documents.write_document(paths[2], comparison_document(comparison))

@@ -1,14 +1,18 @@
 """`std-report`: leaderboards and a page of what `std-bench` measured."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmark.cli import commands
 from std_toolkit.cli.command import Program, print_json
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs.door import Writes, has_record, output, own_files
 
 PAGE = "report.html"
+NAME = "citations.bib"
+_LARGEST_PAGE = 256 * 2**20
+_OUT = Writes("files")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +25,7 @@ class ReportOptions:
 
     results: tuple[Path, ...]
     """folders that std-bench wrote"""
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata={"writes": _OUT})
     """folder of the page (the first folder of results)"""
     published: bool = True
     """the figures that papers print"""
@@ -44,9 +48,13 @@ def report(options: ReportOptions) -> int:
     parts = make_parts(options.results, published=options.published)
     out = options.out or options.results[0]
     texts = {name: text for part in parts for name, text in part.files.items()}
-    for name, text in {**texts, PAGE: render_page(parts)}.items():
-        write_bytes_atomic(out / name, text.encode())
-    write_citations(out, names_of_runs(options.results, [task.manifest for task in TASKS]))
+    texts[PAGE] = render_page(parts)
+    used = names_of_runs(options.results, [task.manifest for task in TASKS])
+    names = [*texts, NAME]
+    with output(out, _OUT, "std-report"), own_files(out, names, known=_earlier(out, names)):
+        for name, text in texts.items():
+            write_bytes_atomic(out / name, text.encode())
+        write_citations(out, used)
     if options.json:
         tables = {Path(name).stem: out / name for name in texts if name.endswith(".csv")}
         print_json({name: pd.read_csv(path).to_dict("records") for name, path in tables.items()})
@@ -54,6 +62,14 @@ def report(options: ReportOptions) -> int:
         print("\n\n".join(part.terminal for part in parts))
         print(f"\n{out / PAGE}")
     return 0
+
+
+def _earlier(out: Path, names: list[str]) -> list[str]:
+    """The names if an earlier version wrote the files, which kept no record of them."""
+    page = out / PAGE
+    if has_record(out) or not page.is_file() or page.stat().st_size > _LARGEST_PAGE:
+        return [NAME]  # std-bench and std-restore write the same
+    return names if b"std-report" in page.read_bytes() else [NAME]
 
 
 PROGRAM = Program(

@@ -15,6 +15,7 @@ import msgspec
 
 from benchmark.evaluation.values import roots_of, settings_by_method, weights_by_method
 from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ class TaskConfig:
 class NetworkConfig(TaskConfig):
     """Options of every task that runs methods."""
 
-    out: Path = field(metadata=_option("out"))
+    out: Path = field(metadata={"option": "out", "writes": Writes("parts")})
     """folder of results"""
     preset: str | None = None
     """network size: published or compact (compact if its weights ship and no --weights is given,
@@ -207,7 +208,7 @@ class GraspConfig(NetworkConfig):
     """unit of these meshes, which then keep their size (a size is drawn that the jaw can hold)"""
     scenes: Path | None = None
     """folder of labelled scenes, whose objects stand on the tables as they do there"""
-    save_views: Path | None = None
+    save_views: Path | None = field(default=None, metadata={"writes": Writes("parts")})
     """write every view (colour, depth, camera) to scenes in this folder, for your own restorer"""
     label: str | None = None
     """name of the planner, or of the dump, in folders and tables"""
@@ -268,7 +269,7 @@ class BopConfig(TaskConfig):
     minimum)"""
     vsd_delta_mm: Annotated[float, msgspec.Meta(gt=0)] = 15.0
     """how far behind the measured depth a surface of VSD counts as visible (ITODD: 5)"""
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata={"writes": Writes("parts")})
     """folder of results (the table is only printed)"""
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from benchmark.evaluation.results import good_frames, join_parts, report_failure
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.jobs.artefact import begin
+from std_toolkit.jobs.artefact import begin, check_begun
 
 # The replacement of a dead worker waits until the system has released the lock.
 _PATIENCE_S = 30.0
@@ -260,6 +260,8 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
         jobs = replace(jobs, workers=len(run.devices))
     del methods
     folder, table = run.folder, run.table_name
+    hint = f"choose another {'--label or ' if hasattr(manifest, 'label') else ''}--out"
+    check_begun(folder / run.manifest_name, hint=hint, beside=run.beside)
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="writing to", wait=True):
         begin(
@@ -267,7 +269,7 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
             manifest,
             within=["setup"],
             what="these results were",
-            hint=f"choose another {'--label or ' if hasattr(manifest, 'label') else ''}--out",
+            hint=hint,
             beside=run.beside,
         )
         sweep_temporaries(folder)

@@ -192,14 +192,22 @@ def restore_views(restorer: Restorer, views: Mapping[int, View]) -> dict[int, Re
     return answers_one_by_one(restorer.restore, check_restored, views)
 
 
+# Half precision rounds 1 by as much.
+_ROUNDING = 1e-3
+
+
 def check_restored(view: View, answer: Restored) -> None:
-    """Refuse an answer of another type or shape, or without a single number.
+    """Refuse an answer of another type or shape, without a single depth, or with odd confidence.
 
     Raises:
         ToolkitError: what is wrong.
     """
     if not isinstance(answer, Restored):
         raise ToolkitError("the method must give Restored(depth)", value=type(answer).__name__)
+    for name, values in (("depth", answer.depth), ("confidence", answer.confidence)):
+        if values is not None and getattr(getattr(values, "dtype", None), "kind", "") not in "fiu":
+            kind = type(values).__name__
+            raise ToolkitError("must be an array of numbers", field=f"Restored.{name}", value=kind)
     if answer.depth.shape != view.depth.shape:
         raise ToolkitError(
             f"the method was given a view of {view.depth.shape}",
@@ -217,6 +225,25 @@ def check_restored(view: View, answer: Restored) -> None:
             "every pixel of the answer is NaN or infinite",
             field="Restored.depth",
             hint="are the weights those of this network and precision?",
+        )
+    if (answer.depth < 0).any() and not (answer.depth > 0).any():
+        raise ToolkitError(
+            "no pixel of the answer is a depth: there are negative ones and none above 0",
+            field="Restored.depth",
+            hint="depth is in metres along z, 0 for none",
+        )
+    if answer.confidence is None:
+        return
+    if answer.confidence.shape != view.depth.shape:
+        raise ToolkitError(
+            f"the method was given a view of {view.depth.shape}",
+            field="Restored.confidence",
+            value=answer.confidence.shape,
+        )
+    low, high = float(np.min(answer.confidence)), float(np.max(answer.confidence))
+    if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
+        raise ToolkitError(
+            "must be in [0, 1]", field="Restored.confidence", value=f"{low:g} to {high:g}"
         )
 
 

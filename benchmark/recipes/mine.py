@@ -128,6 +128,8 @@ def fine_tune(options: MineOptions) -> MineReport:
     check_known(options.method, TUNINGS, problem, field="--method", told=told)
     shipped = shipped_weights(options.method, PRESET)
     training, tests = plan_sets(options)
+    if options.meshes is not None:
+        read_meshes(options.meshes)
     problems: dict[str, str] = {}
     for frames in [*training, *tests.values()]:
         if frames.options is not None:
@@ -168,6 +170,21 @@ def fine_tune(options: MineOptions) -> MineReport:
     for name, frames in tests.items():
         report.scores[name] = _score(frames, options, weights, tuning, report)
     return report
+
+
+def read_meshes(folder: Path) -> int:
+    """Read every mesh before any is simulated; returns their number.
+
+    Raises:
+        ToolkitError: a mesh cannot be used; names its file.
+    """
+    from sensors.assets.asset_source import SourceOptions
+    from sensors.assets.mesh_sources import FolderSource
+
+    source = FolderSource(SourceOptions(root=folder.absolute(), split="all"))
+    for asset_id in source.ids():
+        source.load(asset_id)
+    return len(source.ids())
 
 
 def plan_sets(options: MineOptions) -> tuple[list[FrameSet], dict[str, FrameSet]]:

@@ -7,12 +7,14 @@ A recipe is a TOML file; those of the toolkit are in `experiments/`. A `Scale`, 
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import msgspec
 
 from benchmark.training.options import Machine, Precision
 from std_toolkit.errors import ToolkitError, check_known, check_options
+from std_toolkit.io.foreign_files import read_toml
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 FOLDER = Path(__file__).with_name("experiments")
@@ -24,8 +26,6 @@ BASE_SETS = ("train", "test")
 POSE_DEPTHS = ("raw", "gt")
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9.-]*")
-
-T = TypeVar("T")
 
 _FILE = Path(__file__).with_name("scales.toml")
 
@@ -190,10 +190,13 @@ class RecipeConfig:
     """name of a recipe, or FILE.toml"""
     scale: str = ""
     """tiny (a check that every step runs), small (minutes), medium (hours), paper (full size)"""
-    out: Path = Path("recipe-runs")
+    out: Path = field(default=Path("recipe-runs"), metadata={"writes": Writes("parts")})
     """folder of all recipes: what several need is made once"""
     plan: bool = False
     """print what would be done, and do nothing"""
+    allow_code: bool = False
+    """import what the recipe names as file.py:NAME or package.module:NAME, which runs code; never
+    with --plan"""
     only: tuple[str, ...] = ()
     """variants to run (all)"""
     seed: int = 0
@@ -244,25 +247,6 @@ def load_recipe(name: str) -> tuple[str, Recipe]:
             "no such recipe", value=name, hint=f"one of {', '.join(recipe_names())}, or FILE.toml"
         )
     return path.stem, read_toml(path, Recipe)
-
-
-def read_toml(path: Path, type_: type[T]) -> T:
-    """A TOML file as a Struct, or whatever msgspec knows.
-
-    Raises:
-        ToolkitError: it cannot be read, is no TOML, or a field is wrong; the field is named.
-    """
-    try:
-        return msgspec.toml.decode(path.read_bytes(), type=type_)
-    except OSError as error:
-        raise ToolkitError(f"cannot read the file: {error.strerror}", path=path) from error
-    except msgspec.ValidationError as error:
-        problem, _, at = str(error).partition(" - at `$")
-        raise ToolkitError(problem, path=path, field=at.strip("`.") or None) from error
-    except ToolkitError as error:
-        raise error.revised(path=path) from error
-    except ValueError as error:  # msgspec.DecodeError too
-        raise ToolkitError(f"no TOML: {error}", path=path) from error
 
 
 class SetSize(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

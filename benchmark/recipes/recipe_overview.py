@@ -5,8 +5,8 @@ It is made from the files of the recipes (`table.md`, `differences.csv`, `costs.
 
 import re
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import pandas as pd
 
 from benchmark.recipes.recipe import Scale, get_scale, recipe_names
@@ -30,6 +30,12 @@ NOTE = (
 )
 # What the steps in `COSTS` are, in the order of a run.
 _KINDS = {"set": "simulated set", "pack": "pack", "training": "training", "scores": "scores"}
+
+
+class _Precision(msgspec.Struct, frozen=True, kw_only=True):
+    """What is told of the configuration of a training."""
+
+    precision: str = ""
 
 
 def all_tables(out: Path, scale: str) -> str:
@@ -81,8 +87,8 @@ def _about(scale: Scale, name: str, out: Path) -> list[str]:
         if own.steps or own.batch_size
     ]
     more = f"; {', '.join(others)}" if others else ""
-    configs = [read_document(file, dict[str, Any]) for file in out.glob(f"training/*/{CONFIG}")]
-    precisions = sorted({str(config["precision"]) for config in configs if "precision" in config})
+    configs = [read_document(file, _Precision) for file in out.glob(f"training/*/{CONFIG}")]
+    precisions = sorted({config.precision for config in configs if config.precision})
     told = f", --precision {', '.join(precisions)}" if precisions else ""
     return [
         f"**Scale: {name} ({scale.about})**",

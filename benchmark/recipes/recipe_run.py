@@ -219,7 +219,7 @@ def train(entry: Entry, machine: Machine) -> Trained:
     from benchmark.training.config import CONFIG, begin
     from benchmark.training.fit import fit
     from benchmark.training.plan import plan_training
-    from benchmark.training.run_files import BEST, LAST, SCORES
+    from benchmark.training.run_files import BEST, LAST, SCORES, BestScores
 
     assert entry.training is not None
     assert entry.folder is not None
@@ -235,13 +235,13 @@ def train(entry: Entry, machine: Machine) -> Trained:
         )
         fit(folder, config, data, machine, beginning)
     scores_file = folder / SCORES
-    best = read_document(scores_file, dict) if scores_file.is_file() else {}
+    best = read_document(scores_file, BestScores) if scores_file.is_file() else None
     return Trained(
         frames=len(data.of_training),
         scenes=len({data.training.scene(i) for i in data.of_training}),
         steps=config.steps,
         batch_size=config.optimization.batch_size,
-        best_step=best.get("step"),
+        best_step=None if best is None else best.step,
     )
 
 

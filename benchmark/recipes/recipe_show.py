@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from benchmark.training.options import TrainCommand
 from benchmark.training.run_files import LAST
 from benchmark.training.shards import PACK
 from std_toolkit.cli.command_options import words_of
+from std_toolkit.plugins import names_of
 
 if TYPE_CHECKING:
     from sensors.simulation.options import SimulationOptions
@@ -47,14 +49,16 @@ def perform(options: recipe.RecipeConfig) -> tuple[str | object, Mapping[str, st
         return recipe_records() if options.json else recipe_list(), {}
     check_installed()
     devices = recipe_run.scoring_devices(options.machine)
-    plan = recipe_plan.plan_recipe(replace(options, devices=devices))
-    if options.plan:
-        return plan_text(plan), {}
     tables = [""]
-    outcome = recipe_run.run_recipe(
-        plan, options.machine.shown(), options.jobs,
-        after=lambda outcome: tables.append(recipe_page.write_pages(plan, outcome)),
-    )  # fmt: skip
+    trusted = options.allow_code and not options.plan
+    with nullcontext() if trusted else names_of(f"the recipe {options.recipe}"):
+        plan = recipe_plan.plan_recipe(replace(options, devices=devices))
+        if options.plan:
+            return plan_text(plan), {}
+        outcome = recipe_run.run_recipe(
+            plan, options.machine.shown(), options.jobs,
+            after=lambda outcome: tables.append(recipe_page.write_pages(plan, outcome)),
+        )  # fmt: skip
     if options.json:
         return pd.read_csv(plan.folder / recipe_page.CSV).to_dict("records"), outcome.problems
     return tables[-1], outcome.problems

@@ -24,7 +24,7 @@ from benchmark.restoring.restorer import RestoredFrame, Restorer
 from std_toolkit.cameras import CAMERAS, CameraRequest, LiveCamera, LiveFrame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, Undistortion
-from std_toolkit.html.preview import PreviewPage, encoded
+from std_toolkit.html.preview import PreviewPage, asked_token, encoded
 from std_toolkit.io.atomic import check_vacant, write_bytes_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.io.images import write_color, write_depth_png16
@@ -106,7 +106,7 @@ def restore_live(options: LiveOptions) -> LiveReport:
     with stopped_by_signal() as stop, ExitStack() as parts:
         page = None
         if options.web is not None:
-            page = parts.enter_context(PreviewPage(options.web))
+            page = parts.enter_context(PreviewPage(options.web, asked_token(options.token)))
             print(f"preview: {page.address}", file=sys.stderr)
         request = CameraRequest(
             serial=options.serial, size=options.camera_size, fps=options.fps, stop=stop

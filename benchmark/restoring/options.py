@@ -8,6 +8,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.importers.options import ImageOptions
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 Backend = Literal["auto", "onnx", "torch"]
@@ -44,7 +45,7 @@ class RestoreOptions:
 
     sources: tuple[Path, ...] = field(default=(), metadata={"option": ""})
     """folders or files of recordings"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("parts")})
     """folder of results; of several recordings, each has a folder in it"""
     choice: MethodChoice = field(default_factory=MethodChoice)
     device: str = "cpu"
@@ -74,6 +75,16 @@ class RestoreOptions:
             raise ToolkitError(
                 "needed", field="SOURCES", hint="or give images with --color and --depth"
             )
+        scale, correction = self.images.depth_scale, self.images.depth_correction
+        if scale is not None and not 0 < scale <= 1:
+            raise ToolkitError(
+                "must be metres per unit of the depth images, above 0 and at most 1",
+                field="--depth-scale", value=scale, hint="millimetres: 0.001",
+            )  # fmt: skip
+        if not 0.8 < correction < 1.25:
+            raise ToolkitError(
+                "must be between 0.8 and 1.25", field="--depth-correction", value=correction
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +106,12 @@ class LiveOptions:
     """images per second of the camera"""
     web: int | None = None
     """port of a preview page for a browser on this machine"""
-    preview: Path | None = None
+    token: str | None = None
+    """secret that the preview page asks for, as ?token=... behind its address
+    ($STD_PREVIEW_TOKEN, which other users of this computer cannot see)"""
+    preview: Path | None = field(default=None, metadata={"writes": Writes("file")})
     """JPEG file that is replaced continuously"""
-    out: Path | None = None
+    out: Path | None = field(default=None, metadata={"writes": Writes("new")})
     """new folder that keeps the camera's images and what is restored"""
     frames: Annotated[int, msgspec.Meta(ge=1)] | None = None
     """stop after this number of restored frames"""
@@ -128,7 +142,7 @@ class ExportOptions:
     ONNX.
     """
 
-    out: Path = field(metadata={"option": "onnx"})
+    out: Path = field(metadata={"option": "onnx", "writes": Writes("file")})
     """the file to write, FILE.onnx"""
     choice: MethodChoice = field(default_factory=MethodChoice)
 

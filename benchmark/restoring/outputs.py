@@ -1,6 +1,6 @@
 """Files of restored frames: depth, confidence, changed pixels, points, pictures, the record."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import msgspec
@@ -162,6 +162,8 @@ class FramePaths:
         """What the files of a frame are made of; `RestoreSetup` is the same for all frames."""
         images = {"colour image": frame.color, "depth image": frame.depth}
         inputs = {name: digest_file(path) for name, path in images.items()}
+        read = (asdict(frame.camera), frame.scale, frame.correction, frame.resize)
+        inputs["camera and unit of depth"] = digest_of(*read, versioned=False)
         if frame.undistortion is not None:
             inputs["cameras of the undistortion"] = digest_of(
                 repr(frame.undistortion), versioned=False

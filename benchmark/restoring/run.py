@@ -40,7 +40,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.images import read_depth
 from std_toolkit.jobs import run_jobs
-from std_toolkit.jobs.artefact import begin
+from std_toolkit.jobs.artefact import begin, check_begun
 from std_toolkit.log import logger
 from std_toolkit.settings import Settings, limit
 
@@ -149,6 +149,9 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
     restorer = Restorer.of(options.choice, device=options.device, backend=options.backend)
     pictures = options.pictures
     setup = setup_of(options.choice, restorer, options.depth_format, options.points, pictures)
+    if restorer.options.weights is not None and restorer.options.weights.suffix == ".onnx":
+        # Somebody else's graph may fail, or run on without end: once, before all frames do.
+        _try_first(restorer, recordings[0].frames[0])
     del restorer
     for recording in recordings:
         _warn_of_shift(recording)
@@ -202,6 +205,20 @@ def _warn_of_shift(recording: RecordingFiles) -> None:
             "colour, and pair images of one time",
             recording.source, beside.x_px, beside.y_px,
         )  # fmt: skip
+
+
+def _try_first(restorer: Restorer, frame: FrameFiles) -> None:
+    """Restore a frame and write nothing.
+
+    Raises:
+        ToolkitError: the network fails, or takes too long.
+    """
+    try:
+        color, sensor = frame.read()
+    except ToolkitError:
+        return  # reported with its frame
+    if (sensor > 0).any():
+        restorer.restore_view(color, sensor, frame.camera)
 
 
 def _write_video(
@@ -272,14 +289,16 @@ def _begin(out: Path, setup: RestoreSetup, recording: RecordingFiles, locks: Exi
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ToolkitError(f"cannot make the folder: {error.strerror}", path=out) from error
+    hint, beside = "choose another --out", ("recordings",)
+    check_begun(out / RECORD, hint=hint, beside=beside)
     locks.enter_context(hold_lock(out, "lock", doing="writing to"))
     begin(
         out / RECORD,
         record,
         within=["setup"],
         what="these results were",
-        hint="choose another --out",
-        beside=("recordings",),
+        hint=hint,
+        beside=beside,
     )
     if recording.frames[0].undistortion is not None:
         write_intrinsics(out / INTRINSICS, recording.frames[0].camera)

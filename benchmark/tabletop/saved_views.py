@@ -51,7 +51,7 @@ def save_view(folder: Path, frame: DepthFrame, T_world_cam: SE3) -> None:
     """
     root, name = folder / frame.scene, frame.name
     root.mkdir(parents=True, exist_ok=True)
-    with hold_lock(root, "lock", doing="writing to", wait=True):
+    with hold_lock(root, "lock", doing="writing to", wait=True, images=True):
         there = _frames(root, frame)
         if any(f.name == name for f in there):
             return

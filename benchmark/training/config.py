@@ -1,6 +1,7 @@
 """Configuration of a training, with the optimizer and the learning rate schedule."""
 
 import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,9 @@ from std_toolkit.jobs import artefact
 _LONGEST_WARMUP = 0.1
 
 CONFIG = "config.json"
+
+# Of a method: its name in the registry, package.module:NAME or file.py:NAME.
+_NAME = re.compile(r"[\w.-]+|[^\0\n]+:[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +161,9 @@ class TrainConfig:
     beginning: str = ""
 
     def __post_init__(self) -> None:
+        for name in ("method", "preset"):
+            if not _NAME.fullmatch(getattr(self, name)):
+                raise ToolkitError("is no name", field=name, value=getattr(self, name))
         for name in ("steps", "accumulate", "validate_every", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ToolkitError("must be at least 1", field=name, value=getattr(self, name))
@@ -173,6 +180,12 @@ class TrainConfig:
         for name in AUGMENTATIONS:
             if not 0 <= getattr(self, name) <= 1:
                 raise ToolkitError("must be in [0, 1]", field=name, value=getattr(self, name))
+
+    @property
+    def label(self) -> str:
+        """Name of the network for files: no path, whatever the method is called."""
+        method = self.method.rpartition(":")[2]
+        return f"{method}-{self.preset.rpartition(':')[2]}"
 
     def step_info(self, step: int) -> StepInfo:
         """Where a step stands, counted from 0; behind the end, at the end of the last phase."""

@@ -3,27 +3,27 @@
 Also gives the `std-bench` command that uses the weights.
 """
 
-import csv
+import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors.torch import save
 
-from benchmark.methods.registry import grasp_planners, pose_methods, restorers, sha256_of
+from benchmark.methods.registry import grasp_planners, pose_methods, restorers
 from benchmark.methods.weights import read_weights
 from benchmark.metrics.depth import harm, holes
-from benchmark.training.config import CONFIG
-from benchmark.training.run_files import BEST, SCORES
+from benchmark.training.config import CONFIG, TrainConfig
+from benchmark.training.run_files import BEST, SCORES, BestScores, read_log
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
 from benchmark.training.step import BATCH_NORM_FRAMES
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import read_document
+from std_toolkit.jobs.door import has_record, own_files
 
 _SHOWN_OPTIONS = (
     *("sensor", "views", "width", "height", "quality", "matcher", "materials", "depth"),
@@ -58,7 +58,7 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
         ToolkitError: no training, one that has not come to its first validation, or weights that
             are not finite.
     """
-    config = read_document(run / CONFIG, dict)
+    config = read_document(run / CONFIG, TrainConfig)
     if not (run / BEST).is_file():
         raise ToolkitError(
             "the training has no weights yet: they are written after a validation",
@@ -66,21 +66,18 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
             hint="run the same std-train command again to go on",
         )
     note = read_document(run / RUN_NOTE, RunNote)
-    best = read_document(run / SCORES, dict)
+    best = read_document(run / SCORES, BestScores)
     state = {
         name: half(tensor, name, run / BEST) for name, tensor in read_weights(run / BEST).items()
     }
-    path = out / f"{config['method']}-{config['preset']}.safetensors"
-    out.mkdir(parents=True, exist_ok=True)
-    write_bytes_atomic(path, save(state))
-    digest = sha256_of(path)
-    write_bytes_atomic(path.with_name(path.name + ".sha256"), f"{digest}  {path.name}\n".encode())
-    size = path.stat().st_size / _MIB
+    data = save(state)
+    path, digest = out / f"{config.label}.safetensors", hashlib.sha256(data).hexdigest()
+    size = len(data) / _MIB
     parameters = sum(t.numel() for t in state.values())
     lines = [
-        f"# {config['method']}, preset {config['preset']}",
+        f"# {config.method}, preset {config.preset}",
         "",
-        f"Weights that `{bench_command(config['method'])} --preset {config['preset']}` uses. "
+        f"Weights that `{bench_command(config.method)} --preset {config.preset}` uses. "
         f"{parameters / 1e6:.2f} million numbers in half precision, {size:.1f} MiB, "
         f"SHA-256 `{digest}`. Made by std-toolkit {__version__}; licence: Apache-2.0, as the "
         "toolkit's.",
@@ -89,19 +86,29 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
         *_table("Judged by (which weights are the best)", _data(note.validation)),
         *_table("How", _how(config, best, run, note)),
     ]
-    named = {k: v for k, v in best["scores"].items() if k.startswith(_OF_DEPTH)}
+    known = {k: v for k, v in best.scores.items() if v is not None}
+    named = {k: v for k, v in known.items() if k.startswith(_OF_DEPTH)}
     pixels = "specular and transparent pixels, at the size of training"
     lines += _table(
         f"Scores of validation, {pixels}" if named else "Scores of validation",
         [
             (name.removeprefix(_OF_DEPTH), f"{value:.4f}")
-            for name, value in (named or best["scores"]).items()
+            for name, value in (named or known).items()
         ],
     )
-    lines += _elsewhere(best["scores"])
+    lines += _elsewhere(known)
     if scores:
         lines += ["## Scores on test sets", "", scores.rstrip(), ""]
-    write_bytes_atomic(path.with_suffix(".md"), "\n".join(lines).encode())
+    sums = path.with_name(path.name + ".sha256")
+    card = path.with_suffix(".md")
+    out.mkdir(parents=True, exist_ok=True)
+    names = [p.name for p in (path, sums, card)]
+    # Those of an earlier version, which kept no record, have their sum beside them.
+    earlier = names if sums.is_file() and not has_record(out) else []
+    with own_files(out, names, known=earlier):
+        write_bytes_atomic(path, data)
+        write_bytes_atomic(sums, f"{digest}  {path.name}\n".encode())
+        write_bytes_atomic(card, "\n".join(lines).encode())
     return path
 
 
@@ -157,62 +164,60 @@ def _by_number(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in _NUMBER.split(name)]
 
 
-def _how(
-    config: dict[str, Any], best: dict[str, Any], run: Path, note: RunNote
-) -> list[tuple[str, str]]:
-    batch = config["optimization"]["batch_size"]
-    rate = config["optimization"]["learning_rate"]
+def _how(config: TrainConfig, best: BestScores, run: Path, note: RunNote) -> list[tuple[str, str]]:
+    batch = config.optimization.batch_size
+    rate = config.optimization.learning_rate
     frames = sum(part.frames for part in note.training)
     rows = [
         (
             "steps",
-            f"{config['steps']} of {batch} frames, {config['steps'] * batch / frames:.1f} times "
-            f"through the data; best at {best['step']}",
+            f"{config.steps} of {batch} frames, {config.steps * batch / frames:.1f} times "
+            f"through the data; best at {best.step}",
         ),
         (
             "optimizer",
-            f"{config['optimization']['optimizer']}, {rate:g}, "
-            f"{_DECAYS[config['optimization']['decay']]}, {config['precision']}",
+            f"{config.optimization.optimizer}, {rate:g}, "
+            f"{_DECAYS[config.optimization.decay]}, {config.precision}",
         ),
-        ("seed", str(config["seed"])),
+        ("seed", str(config.seed)),
         ("machine", ", ".join(f"{k}: {v}" for k, v in note.hardware.items())),
         ("torch", note.packages.get("torch", "")),
     ]
-    if config["geometry"]:
+    if config.geometry:
         rows.append(("augmented", "frames turned, mirrored and enlarged, beside colour"))
-    if config.get("object_dropout"):
+    if config.object_dropout:
         rows.append(
             (
                 "object-depth dropout",
-                f"objects in {config['object_dropout']:g} of the frames have no depth, that of the "
+                f"objects in {config.object_dropout:g} of the frames have no depth, that of the "
                 "background, or the true one, drawn at every step",
             )
         )
-    if config.get("copy_paste"):
-        share = config["copy_paste"]
+    if config.copy_paste:
+        share = config.copy_paste
         rows.append(("copy-paste", f"objects of another frame into {share:g} of the frames"))
-    if config.get("clear_gone") or config.get("clear_behind"):
+    if config.clear_gone or config.clear_behind:
         rows.append(
             (
                 "glass and metal",
-                f"{config['clear_gone']:g} of the objects without sensor depth, "
-                f"{config['clear_behind']:g} with that of what is behind, drawn at every step",
+                f"{config.clear_gone:g} of the objects without sensor depth, "
+                f"{config.clear_behind:g} with that of what is behind, drawn at every step",
             )
         )
-    if config.get("holes"):
-        rows.append(("holes anywhere", f"in {config['holes']:g} of the frames"))
-    if config.get("wrong_color"):
+    if config.holes:
+        rows.append(("holes anywhere", f"in {config.holes:g} of the frames"))
+    if config.wrong_color:
         rows.append(
             (
                 "wrong colour",
-                f"noise or another frame's in {config['wrong_color']:g} of the frames, answered by "
+                f"noise or another frame's in {config.wrong_color:g} of the frames, answered by "
                 "the continuation of the sensor's depth",
             )
         )
-    if config.get("batch_norm") == "recomputed":
+    if config.batch_norm == "recomputed":
         rows.append(("batch-norm statistics", f"recomputed over {BATCH_NORM_FRAMES} frames"))
-    if config.get("beginning") and not note.earlier:
-        rows.append(("began with", f"{config['beginning']} (hash of the file)"))
+    if config.beginning and not note.earlier:
+        rows.append(("began with", f"{config.beginning} (hash of the file)"))
     for stage in note.earlier:
         sizes = ", ".join(sorted({f"{w}x{h}" for w, h in stage.sizes}))
         moved = ", turned, mirrored and enlarged" if stage.geometry else ""
@@ -224,10 +229,10 @@ def _how(
                 f"{moved}, rate {stage.learning_rate:g}",
             )
         )
-    if config["settings"]:
-        rows.append(("settings", ", ".join(f"{k}={v}" for k, v in config["settings"].items())))
-    if config["loss"]:
-        rows.append(("loss", ", ".join(f"{k}={v}" for k, v in config["loss"].items())))
+    if config.settings:
+        rows.append(("settings", ", ".join(f"{k}={v}" for k, v in config.settings.items())))
+    if config.loss:
+        rows.append(("loss", ", ".join(f"{k}={v}" for k, v in config.loss.items())))
     hours, speed = _hours(run, batch)
     if not math.isnan(hours):
         rows.append(("time", f"{hours:.2f} h at {speed:.1f} samples/s"))
@@ -239,8 +244,8 @@ def _hours(run: Path, batch: int) -> tuple[float, float]:
     path = run / "steps.csv"
     if not path.is_file():
         return math.nan, math.nan
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = [(int(r["step"]), float(r["samples_per_s"])) for r in csv.DictReader(file)]
+    log = read_log(path, numbers=("step", "samples_per_s"))
+    rows = [(int(row["step"]), float(row["samples_per_s"])) for row in log]
     before, seconds = 0, 0.0
     for step, speed in rows:
         seconds += (step - before) * batch / max(speed, 1e-9)

@@ -9,10 +9,11 @@ import torch
 
 from benchmark.methods.weights import save_weights
 from benchmark.training import catalogue, options, packed_frames, run_files, run_note
-from benchmark.training.config import TrainConfig, begin, seed_of
+from benchmark.training.config import CONFIG, TrainConfig, begin, seed_of
 from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
 from std_toolkit.io.documents import write_document
+from std_toolkit.jobs.artefact import check_begun
 from std_toolkit.log import logger
 
 
@@ -60,6 +61,9 @@ def fit(
     network = make_network(trainable, config, beginning or Beginning())
     with ExitStack() as stack:
         if is_first:
+            check_begun(folder / CONFIG, hint="choose another --out")
+            data.training.check(data.of_training)
+            data.validation.check(data.of_validation)
             folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(hold_lock(folder, "lock", doing="training in", what="folder"))
             begin(folder, config)

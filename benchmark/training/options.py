@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Self
 import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
@@ -143,7 +144,7 @@ class TrainCommand(TrainOptions):
     weights. What is not given is as published for the method.
     """
 
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("parts")})
     """folder of the training"""
     machine: Machine = field(default_factory=Machine)
     engine: Literal["local", "ray"] = "local"
@@ -181,7 +182,7 @@ class PackCommand(PackOptions):
     Run the same command again to resume.
     """
 
-    folder: Path
+    folder: Path = field(metadata={"writes": Writes("parts")})
     """folder of the packed frames"""
     split: str = field(metadata={"option": "split"})
     """name of `std-bench list splits`"""
@@ -246,7 +247,7 @@ class GraspPackCommand(GraspPackOptions):
     Run the same command again to resume, with more --scenes to add some.
     """
 
-    folder: Path
+    folder: Path = field(metadata={"writes": Writes("parts")})
     """folder of the packed scenes"""
     scenes: Count = field(metadata={"option": "scenes"})
     """how many scenes"""
@@ -262,7 +263,7 @@ class MineOptions:
     to resume.
     """
 
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("results", ("sets", "scenes"))})
     """folder of sets, packs, training and results"""
     meshes: Path | None = None
     """folder of your meshes; sub-folders are categories, and `assets.json` gives units and more"""
@@ -306,7 +307,7 @@ class ExportOptions:
 
     run: Path
     """folder of the training"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("files")})
     """folder of the files"""
     results: tuple[Path, ...] = ()
     """results of `std-bench` for the card"""

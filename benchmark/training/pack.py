@@ -1,6 +1,5 @@
 """Packs the frames of a split for training: resized once, then read without decoding."""
 
-import hashlib
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -16,8 +15,9 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.jobs.artefact import begin
+from std_toolkit.jobs.artefact import begin, check_begun
 from std_toolkit.jobs.outcome import error_of
+from std_toolkit.log import logger
 
 _WAYS = {"cubic": cv2.INTER_CUBIC, "area": cv2.INTER_AREA}
 
@@ -56,11 +56,12 @@ def pack_split(
         frames_sha256=names_digest(source.keys()),
         **{field.name: getattr(options, field.name) for field in fields(PackOptions)},
     )
+    check_begun(folder / shards.PACK, hint="choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into", what="folder"):
         begin(folder / shards.PACK, setup, what="this pack was", hint="choose another folder")
         sweep_temporaries(folder)
-        left = [number for number in range(setup.shards) if not _is_whole(folder, number)]
+        left = [number for number in range(setup.shards) if not _is_whole(folder, number, setup)]
         report = run_jobs(
             partial(_pack_shard, folder, setup, root), left, name=f"pack {split}", options=jobs
         )
@@ -107,9 +108,21 @@ def record_of(frame: DepthFrame, setup: shards.PackSetup) -> np.ndarray:
     return record
 
 
-def _is_whole(folder: Path, number: int) -> bool:
+def _is_whole(folder: Path, number: int, setup: shards.PackSetup) -> bool:
+    """Whether a shard needs not be packed: no frame failed, and it holds what was packed."""
     path = shards.index_path(folder, number)
-    return path.exists() and not read_document(path, shards.ShardIndex).failed
+    if not path.exists():
+        return False
+    try:
+        index = read_document(path, shards.ShardIndex)
+        records = shards.open_shard(folder, number, setup, len(index.names))
+    except ToolkitError as error:
+        logger.warning("%s; packed again", error)
+        return False
+    if [shards.digest_of_record(r) for r in records] != index.digests:
+        logger.warning("%s: was changed; packed again", shards.shard_path(folder, number))
+        return False
+    return not index.failed
 
 
 def _pack_shard(folder: Path, setup: shards.PackSetup, root: Path, number: int) -> int:
@@ -127,7 +140,7 @@ def _pack_shard(folder: Path, setup: shards.PackSetup, root: Path, number: int) 
         records.append(record)
         index.scenes.append(keys[i].scene)
         index.names.append(keys[i].name)
-        index.digests.append(hashlib.blake2b(record.tobytes(), digest_size=8).hexdigest())
+        index.digests.append(shards.digest_of_record(record))
     # An earlier index must not vouch for the new records.
     shards.index_path(folder, number).unlink(missing_ok=True)
     with atomic_path(shards.shard_path(folder, number)) as temporary:

@@ -100,6 +100,22 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
             self._open[key] = shards.open_shard(folder, place.shard, setup, self._counts[key])
         return self._open[key][place.row]
 
+    def check(self, chosen: Sequence[int]) -> None:
+        """Check that frames are those that were packed, by their digests; all bytes are read.
+
+        Raises:
+            ToolkitError: a shard is damaged or was changed; names the frame.
+        """
+        for index in chosen:
+            frame = self.frames[index]
+            if shards.digest_of_record(self.record(index)) != frame.digest:
+                raise ToolkitError(
+                    "the packed frame is not the one that was packed",
+                    path=shards.shard_path(self.folders[frame.pack], frame.shard),
+                    value=f"{frame.scene}/{frame.name}",
+                    hint=shards.PACK_AGAIN,
+                )
+
     def key(self, index: int) -> str:
         """A frame's name, for people."""
         frame = self.frames[index]
@@ -146,7 +162,7 @@ class PackedFrames(Dataset[dict[str, Tensor]]):
                 raise ToolkitError(
                     f"packing is not finished: {path.name} is missing",
                     path=folder,
-                    hint="run the same `std-train pack` again",
+                    hint=shards.PACK_AGAIN,
                 )
             index = read_document(path, shards.ShardIndex)
             failed += len(index.failed)

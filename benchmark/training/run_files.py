@@ -5,19 +5,65 @@ The log survives interruptions.
 
 import csv
 import io
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
+
+from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.foreign_files import csv_rows
+from std_toolkit.io.regular import read_text
 
+_LARGEST_LOG_BYTES = 256 * 2**20  # of a million steps
 BEST = "best.safetensors"  # the weights with the best validation
 
 SCORES = "best.json"  # its step and scores
 
 LAST = "last.safetensors"  # the weights after the last step: written when a training ends
 
+
+class BestScores(msgspec.Struct, frozen=True, kw_only=True):
+    """`best.json`: the step of the best weights, and the scores of its validation by name.
+
+    Attributes:
+        ranked_by: name of the score that decided.
+    """
+
+    step: Annotated[int, msgspec.Meta(ge=0)]
+    ranked_by: str = ""
+    scores: dict[str, float | None]
+
+
 CHECKPOINT = "last.ckpt"  # what a resumed training needs
+
+
+def read_log(path: Path, *, numbers: Sequence[str] = ("step",)) -> list[dict[str, str]]:
+    """Rows of a log by column.
+
+    Args:
+        numbers: columns that must hold finite numbers; the first holds whole ones.
+
+    Raises:
+        ToolkitError: unreadable, no table, or a value that is no such number; names the row.
+    """
+    lines = read_text(path, "table", _LARGEST_LOG_BYTES).splitlines()
+    head, *rows = csv_rows(lines, path) if lines else [[]]
+    found = [dict(zip(head, row, strict=False)) for row in rows]
+    for number, row in enumerate(found, start=2):
+        for name in numbers:
+            text = row.get(name, "")
+            try:
+                good = math.isfinite(int(text) if name == numbers[0] else float(text))
+            except (ValueError, OverflowError):
+                good = False
+            if not good:
+                field = f"line {number}: {name}"
+                raise ToolkitError("is no number", path=path, field=field, value=text)
+    return found
 
 
 class Rows:
@@ -33,8 +79,7 @@ class Rows:
         self.path = path
         self.rows: list[dict[str, str]] = []
         if path.exists():
-            with path.open(newline="", encoding="utf-8") as file:
-                self.rows = [row for row in csv.DictReader(file) if int(row["step"]) <= step]
+            self.rows = [row for row in read_log(path) if int(row["step"]) <= step]
 
     def add(self, row: Mapping[str, float | int | str]) -> None:
         """Add a row; it has `step`."""

@@ -2,19 +2,27 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 
 from benchmark.evaluation.manifest import hardware, package_versions
-from benchmark.training.config import CONFIG
+from benchmark.training.config import CONFIG, TrainConfig
 from benchmark.training.packed_frames import PackedFrames
-from benchmark.training.run_files import BEST, SCORES
+from benchmark.training.run_files import BEST, SCORES, BestScores
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
 
 RUN_NOTE = "run.json"
 
 _SET = "simulation.json"  # what std-sim leaves beside a set
+
+
+Plain = str | int | float | bool | list[str] | None
+
+
+class _SetOptions(msgspec.Struct, frozen=True, kw_only=True):
+    options: dict[str, Plain] = {}
 
 
 class PartNote(msgspec.Struct, frozen=True, kw_only=True):
@@ -30,11 +38,11 @@ class PartNote(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     split: str
-    frames: int
-    scenes: list[str]
+    frames: Annotated[int, msgspec.Meta(ge=1)]
+    scenes: Annotated[list[str], msgspec.Meta(min_length=1)]
     size: tuple[int, int]
     color: str
-    simulation: dict[str, str | int | float | bool | list[str] | None]
+    simulation: dict[str, Plain]
 
 
 class StageNote(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,7 +74,7 @@ class RunNote(msgspec.Struct, frozen=True, kw_only=True):
         earlier: the trainings before it, the first one first, as far as they are known.
     """
 
-    training: list[PartNote]
+    training: Annotated[list[PartNote], msgspec.Meta(min_length=1)]
     validation: list[PartNote]
     hardware: dict[str, str]
     packages: dict[str, str]
@@ -102,21 +110,20 @@ def _stages(weights: Path | None) -> list[StageNote]:
         return []
     try:
         note = read_document(weights.parent / RUN_NOTE, RunNote)
-        config = read_document(weights.parent / CONFIG, dict)
-        optimization = config["optimization"]
-        taken = config["steps"]
+        config = read_document(weights.parent / CONFIG, TrainConfig)
+        taken = config.steps
         if weights.name == BEST:
-            taken = read_document(weights.parent / SCORES, dict)["step"]
+            taken = read_document(weights.parent / SCORES, BestScores).step
         stage = StageNote(
             sizes=[part.size for part in note.training],
             frames=sum(part.frames for part in note.training),
-            steps=config["steps"],
+            steps=config.steps,
             taken=taken,
-            batch_size=optimization["batch_size"],
-            learning_rate=optimization["learning_rate"],
-            geometry=config["geometry"],
+            batch_size=config.optimization.batch_size,
+            learning_rate=config.optimization.learning_rate,
+            geometry=config.geometry,
         )
-    except (ToolkitError, KeyError):  # a courtesy, as below
+    except ToolkitError:  # a courtesy, as below
         return []
     return [*note.earlier, stage]
 
@@ -140,13 +147,11 @@ def _parts(frames: PackedFrames, chosen: Sequence[int]) -> list[PartNote]:
     return notes
 
 
-def _simulation(root: Path) -> dict[str, str | int | float | bool | list[str] | None]:
+def _simulation(root: Path) -> dict[str, Plain]:
     for folder in (root, *root.parents[:1]):
         if (folder / _SET).is_file():
             try:
-                document = read_document(folder / _SET, dict)
+                return read_document(folder / _SET, _SetOptions).options
             except ToolkitError:  # the note is a courtesy; the frames themselves were read
                 return {}
-            options = document.get("options")
-            return options if isinstance(options, dict) else {}
     return {}

@@ -5,17 +5,23 @@
 <pack>/shard-00000.json   names of the frames; written last, when the shard is complete
 """
 
+import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
 from benchmark.training.options import ColorWay, DepthKind, RawKind
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document
+from std_toolkit.io.documents import InvalidDocument, read_document
+from std_toolkit.io.foreign_files import mapped_npy
 
 PACK = "pack.json"
+PACK_AGAIN = "run the same `std-train pack` again"
+
+
+Side = Annotated[int, msgspec.Meta(ge=1, le=16384)]
 
 
 class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -34,12 +40,12 @@ class PackSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     split: str
     root: str
-    frames: int
+    frames: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
     frames_sha256: str
-    size: tuple[int, int]
+    size: tuple[Side, Side]
     depth: DepthKind
     color: ColorWay
-    shard: int
+    shard: Annotated[int, msgspec.Meta(ge=1)]
     nocs: bool = False
     raw: RawKind = "sensor"
     format: int = 1
@@ -61,6 +67,10 @@ class ShardIndex(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     names: list[str]
     digests: list[str]
     failed: dict[str, str]
+
+    def __post_init__(self) -> None:
+        if not len(self.scenes) == len(self.names) == len(self.digests):
+            raise InvalidDocument("scenes, names and digests are of different lengths")
 
 
 def record_type(setup: PackSetup) -> np.dtype[np.void]:
@@ -120,18 +130,21 @@ def open_shard(folder: Path, number: int, setup: PackSetup, frames: int) -> np.n
     if not frames:
         return np.empty(0, record_type(setup))
     try:
-        found = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise ToolkitError(
-            f"the shard cannot be read: {error}",
-            path=path,
-            hint="delete its .json and run `std-train pack` again",
+        found = mapped_npy(path, record_type(setup))
+    except ToolkitError as error:
+        raise error.revised(
+            problem=f"the shard cannot be read: {error.problem}", hint=PACK_AGAIN
         ) from error
-    if found.dtype != record_type(setup) or found.shape != (frames,):
+    if found.shape != (frames,):
         raise ToolkitError(
             "the shard is not what pack.json and its own .json say",
             path=path,
             value=(found.shape, frames),
-            hint="delete its .json and run `std-train pack` again",
+            hint=PACK_AGAIN,
         )
     return found
+
+
+def digest_of_record(record: np.ndarray) -> str:
+    """Digest of the packed pixels of a frame."""
+    return hashlib.blake2b(record.tobytes(), digest_size=8).hexdigest()

@@ -27,6 +27,7 @@ import numpy as np
 from sensors.assets import asset, asset_source, mesh_file
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M
+from std_toolkit.io.documents import read_document
 from std_toolkit.scene.document import check_name, check_relative, safe_name
 
 DOCUMENT = "assets.json"
@@ -131,6 +132,10 @@ class FolderSource:
             )
         return self.load(ids[int(rng.integers(len(ids)))])
 
+    def ids(self) -> Sequence[str]:
+        """Ids of all meshes, whatever their split."""
+        return tuple(sorted(self._rows))
+
     def load(self, asset_id: str) -> asset.Asset:
         row = self._rows.get(asset_id)
         if row is None:
@@ -159,9 +164,9 @@ class FolderSource:
 
     def _listed(self, document: Path) -> list[AssetRow]:
         try:
-            listed = msgspec.json.decode(document.read_bytes(), type=AssetList)
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
-            raise ToolkitError(f"not a list of assets: {error}", path=document) from error
+            listed = read_document(document, AssetList)
+        except ToolkitError as error:
+            raise error.revised(problem=f"not a list of assets: {error.problem}") from error
         for k, row in enumerate(listed.assets):
             check_name(row.category, path=document, field=f"assets[{k}].category")
             check_relative(row.mesh, path=document, field=f"assets[{k}].mesh")

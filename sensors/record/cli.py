@@ -131,7 +131,7 @@ def _session(
     from sensors.record.camera_settings import apply_settings, lock
     from sensors.record.live_view import enter_pressed
     from sensors.record.recording_session import record
-    from std_toolkit.html.preview import PreviewPage
+    from std_toolkit.html.preview import PreviewPage, asked_token
     from std_toolkit.jobs.live import StatusLine
 
     settings = options.settings
@@ -149,7 +149,7 @@ def _session(
     with ExitStack() as open_parts:
         page = None
         if options.web is not None:
-            page = open_parts.enter_context(PreviewPage(options.web))
+            page = open_parts.enter_context(PreviewPage(options.web, asked_token(options.token)))
             print(f"preview: {page.address}", file=sys.stderr)
         if options.wait:
             print("press Enter to record", file=sys.stderr)

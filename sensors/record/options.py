@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from std_toolkit.errors import CheckedOptions, ToolkitError, check_options
+from std_toolkit.jobs.door import Writes
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -135,7 +136,7 @@ class RecordCommand:
     Ctrl-C ends a recording; what was finished is a scene at any time.
     """
 
-    scene: Path | None = field(default=None, metadata={"option": ""})
+    scene: Path | None = field(default=None, metadata={"option": "", "writes": Writes("scene")})
     """folder of the new scene"""
     file: str | None = field(default=None, metadata={"option": "from"})
     """read a .bag or .db3 file of librealsense, or a recording of ROS (rosbag2 folder, .mcap, .db3,
@@ -150,10 +151,13 @@ class RecordCommand:
     """of the camera, if several are connected"""
     align: Literal["toolkit", "librealsense"] = "toolkit"
     """software that aligns depth to the colour image"""
-    preview: Path | None = None
+    preview: Path | None = field(default=None, metadata={"writes": Writes("file")})
     """JPEG file that is replaced continuously"""
     web: int | None = None
     """port of a preview page for a browser on this machine"""
+    token: str | None = None
+    """secret that the preview page asks for, as ?token=... behind its address
+    ($STD_PREVIEW_TOKEN, which other users of this computer cannot see)"""
     wait: bool = False
     """only show the preview until Enter is pressed"""
     session: SessionOptions = field(default_factory=SessionOptions)

@@ -77,7 +77,7 @@ class SceneWriter:
             raise ToolkitError(
                 "there is no scene to resume", path=self.out, hint="leave out --resume"
             )
-        self._held.enter_context(scene_lock(self.out))
+        self._held.enter_context(scene_lock(self.out, images=True))
         try:
             scene = frame_table.recovered(self.out)
             check_same_camera(scene.info, self._info, self.out)
@@ -169,7 +169,7 @@ class SceneWriter:
             )
             recording_document.write_recording(staging, self._document)
             Scene.create(staging, self._info, Frames(frames=[row]))
-        self._held.enter_context(scene_lock(self.out))
+        self._held.enter_context(scene_lock(self.out, images=True))
         self._next += 1
         self.taken += 1
         self._begin(frame_table.FrameTable(self.out, [row]), write=False)

@@ -8,6 +8,7 @@ import msgspec
 
 from std_toolkit.cli.command_options import words_of
 from std_toolkit.errors import CheckedOptions, ToolkitError, check_options
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
@@ -165,7 +166,7 @@ class RunCommand(SceneOptions):
     scenes to add some.
     """
 
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("results", ("simulation.json",))})
     """data set"""
     scenes: Annotated[int, msgspec.Meta(ge=0)] | None = None
     """number of scenes (that of the preset)"""
@@ -175,7 +176,7 @@ class RunCommand(SceneOptions):
     """part of the data set; validation scenes are made of the training shapes and light"""
     layout: tuple[Layout, ...] = field(default=(), metadata={"repeat": True})
     """dreds: DREDS-CatKnown; novel: DREDS-CatNovel; scene: toolkit scenes; several are possible"""
-    cache: Path | None = None
+    cache: Path | None = field(default=None, metadata={"writes": Writes("parts")})
     """folder that keeps convex parts (~/.cache/std-toolkit)"""
     jobs: JobOptions = field(default_factory=JobOptions)
 
@@ -187,7 +188,7 @@ class PreviewCommand(SceneOptions):
     It shows colour, infrared, raw depth, exact depth and error.
     """
 
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("file")})
     """picture"""
 
 
@@ -197,7 +198,7 @@ class StatsCommand:
 
     root: Path
     """data set"""
-    csv: Path | None = None
+    csv: Path | None = field(default=None, metadata={"writes": Writes("file")})
     """write the depth table to this file"""
     json: bool = False
     """print JSON"""
@@ -209,7 +210,7 @@ class AssetsCommand:
 
     action: Literal["list", "fetch"]
     """list: print names, sizes and licences; fetch: download what is not there yet"""
-    out: Path = field(default=Path("assets"), metadata={"option": "out"})
+    out: Path = field(default=Path("assets"), metadata={"option": "out", "writes": Writes("parts")})
     """folder, which gets sub-folders for --environments and --floors"""
     list_file: Path | None = None
     """another list of files with checksums"""
@@ -225,7 +226,7 @@ class TurntableOptions(CheckedOptions):
 
     mesh: Path = field(metadata={"option": "mesh"})
     """mesh file in metres"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("results", ("turntable.json",))})
     """folder"""
     mesh_unit: Literal["m", "cm", "mm"] = "m"
     """unit of the mesh file"""

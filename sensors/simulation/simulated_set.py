@@ -18,6 +18,7 @@ from sensors.simulation.options import Layout, SimulationOptions
 from sensors.simulation.simulator import Simulator
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import refuse_links
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.jobs.artefact import begin
 from std_toolkit.log import logger
@@ -97,6 +98,7 @@ def simulate_set(
         what="this set was",
         hint="choose another folder, or the options that it was begun with",
     )
+    refuse_links(out)
     missing = [s for s in seeds if _missing(out, s, split, layouts)]
     _check_room(out, options, len(missing), layouts)
     cores = usable_cores()

@@ -11,9 +11,12 @@ from std_toolkit.checks.result import CheckReport
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import DIALECT
+from std_toolkit.io.regular import read_regular
 from std_toolkit.jobs import artefact
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene import model, sidecar
+
+_ADDRESS = "https://std-toolkit.example/schemas"
 
 
 def document_types() -> dict[str, type]:
@@ -47,7 +50,7 @@ def document_schema(name: str) -> dict[str, Any]:
     schema = msgspec.json.schema(types[name])
     return {
         "$schema": DIALECT,
-        "$id": f"https://std-toolkit.example/schemas/{name}.schema.json",
+        "$id": f"{_ADDRESS}/{name}.schema.json",
         **schema,
     }
 
@@ -63,6 +66,8 @@ def write_schemas(folder: Path) -> list[Path]:
     paths = []
     for name in document_types():
         path = folder / f"{name}.schema.json"
+        if path.exists() and _ADDRESS.encode() not in read_regular(path, "schema"):
+            raise ToolkitError("is not a schema of std-toolkit", path=path, hint="move it away")
         write_bytes_atomic(path, schema_bytes(name))
         paths.append(path)
     return paths

@@ -16,10 +16,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from std_toolkit.cli.command_options import UsageError, parse_options, print_completion
+from std_toolkit.cli.command_options import (
+    UsageError,
+    parse_options,
+    print_completion,
+    values_of,
+)
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
 from std_toolkit.jobs.interrupt import GRACE_S, ended_by_signals, status_after
 from std_toolkit.log import log_to_stderr
+from std_toolkit.plugins import error_of_plugin
 
 WRONG_USAGE = 2
 SHELLS = ("bash", "zsh", "fish")
@@ -134,6 +140,7 @@ class Program:
     def _run(self, command: Command, words: list[str]) -> int:
         options, common = parse_options(_load(command.options), words, self._title(command))
         log_to_stderr(logging.WARNING if common.quiet else logging.INFO)
+        from std_toolkit.jobs.door import opened
 
         if common.limits is not None:
             from std_toolkit.settings import read_settings, use
@@ -142,8 +149,13 @@ class Program:
                 use(read_settings(common.limits))
             except ToolkitError as error:
                 raise UsageError(str(error)) from error
+
+        def run() -> int:
+            with opened(values_of(options), self._title(command)):
+                return _load(command.run)(options) or 0
+
         return exit_status(
-            lambda: _load(command.run)(options) or 0,
+            run,
             program=self.name,
             debug=common.debug,
             on_interrupt=self.on_interrupt,
@@ -213,10 +225,14 @@ def exit_status(
 
 def _failure(error: BaseException, program: str, debug: bool) -> int:
     """Report an error in one line; raises it again if it is none of the command, or to debug it."""
-    if debug or isinstance(error, BrokenPipeError) or not isinstance(error, Exception):
+    plugin = error_of_plugin(error)
+    ends = not isinstance(error, Exception) and (plugin is None or plugin.field is None)
+    if debug or isinstance(error, BrokenPipeError) or ends:
         raise error
     if isinstance(error, ToolkitError):
         shown: BaseException | str = error
+    elif plugin is not None and not isinstance(error, OSError) and missing_extra(error) is None:
+        shown = plugin
     elif isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         shown = f"{where}{error.strerror or error}"

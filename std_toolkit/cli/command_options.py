@@ -17,7 +17,8 @@ The metadata of a field (for a Struct the `extra` of a `msgspec.Meta`) changes t
 - `{"off": "flat-normals"}` makes a flag of this name that turns the field off;
 - `{"repeat": True}` lets a tuple or mapping collect one value each time the option is given;
 - `{"factor": 1000}` reads metres as millimetres;
-- `{"size": True}` reads two whole numbers as `1280x720`.
+- `{"size": True}` reads two whole numbers as `1280x720`;
+- `{"writes": Writes("new")}` says that it is written to, see `std_toolkit.jobs.door`.
 """
 
 import contextlib
@@ -112,6 +113,11 @@ def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -
         tyro.cli(*calls.values(), prog=program, args=arguments, config=_markers())
     else:
         tyro.extras.subcommand_cli_from_dict(calls, prog=program, args=arguments, config=_markers())
+
+
+def values_of(options: Any) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
+    """Title, value and metadata of each option; those of nested dataclasses as their own."""
+    return ((o.title, o.default, o.metadata) for o in _options(type(options), options))
 
 
 def words_of(options: Any) -> list[str]:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 def import_scene(command: ImportCommand) -> int:
     """Make the scene and print its summary."""
+    if command.options.known.cameras is not None:
+        import pycolmap  # noqa: F401 - first: see `std_toolkit.libraries`
+
     from std_toolkit.checks.summary import summarise
     from std_toolkit.importers.depth_survey import with_unit_asked
     from std_toolkit.importers.foreign_files import is_ros_recording
@@ -106,14 +109,12 @@ def print_info(command: InfoCommand) -> int:
 
 def recover_poses(command: PosesCommand) -> int:
     """Recover camera poses; 1 if a gate failed."""
-    import pycolmap  # noqa: F401 - here, because it replaces the handlers of signals
+    import pycolmap  # noqa: F401 - first: see `std_toolkit.libraries`
 
-    from std_toolkit.jobs.interrupt import keep_handlers
     from std_toolkit.poses.pose_gates import pose_lines
     from std_toolkit.poses.pose_step import estimate_poses
     from std_toolkit.scene.scene import Scene
 
-    keep_handlers()
     scene = Scene.open(command.scene)
     poses = estimate_poses(scene, command.options, jobs=command.jobs)
     if command.json:

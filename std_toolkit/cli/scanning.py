@@ -21,6 +21,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run_scan(options: ScanOptions) -> int:
     """Scan and print where the model is."""
+    import pycolmap  # noqa: F401, I001 - first: see `std_toolkit.libraries`
+
     import manifold3d  # noqa: F401 (without it a scan would fail at its end, after minutes)
 
     from std_toolkit.scanning.scan_step import scan

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hmac
+import os
 import re
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
+from urllib.parse import parse_qs
 
 import cv2
 import numpy as np
@@ -18,7 +21,9 @@ _QUALITY = 80
 
 _PROGRAM = """
 const p = document.getElementById("p");
-function next() { p.src = "preview.jpg?" + Date.now(); }
+const token = new URLSearchParams(location.search).get("token");
+const asked = token === null ? "" : "&token=" + encodeURIComponent(token);
+function next() { p.src = "preview.jpg?t=" + Date.now() + asked; }
 p.onload = () => setTimeout(next, 150);
 p.onerror = () => setTimeout(next, 1000);
 next();
@@ -47,25 +52,40 @@ def encoded(picture: NDArray[np.uint8]) -> bytes:
     return bytes(data)
 
 
+TOKEN_VARIABLE = "STD_PREVIEW_TOKEN"
+
+
+def asked_token(option: str | None) -> str | None:
+    """The token of a preview: that of the option, or of the environment; None for none."""
+    return option or os.environ.get(TOKEN_VARIABLE) or None
+
+
 class PreviewPage:
     """Serves the last picture to browsers; use as a context manager.
 
     It listens on localhost only, so that images are not visible to the network. From another
-    machine, use `ssh -L PORT:localhost:PORT`.
+    machine, use `ssh -L PORT:localhost:PORT`. Other users of this machine see the page, too, unless
+    it asks for a token.
+
+    Args:
+        port: 0 for any free one.
+        token: what the address must end with, `?token=...`; None for nothing.
 
     Raises:
         ToolkitError: the port is taken.
     """
 
-    def __init__(self, port: int) -> None:
-        page = self
+    def __init__(self, port: int, token: str | None = None) -> None:
+        page, self._token = self, token
         self._picture = b""
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
-                path = self.path.split("?")[0]
+                path, _, query = self.path.partition("?")
                 if not _HOST.fullmatch(self.headers.get("Host", "")):
                     self._send(403, "text/plain", b"open http://localhost\n")
+                elif not page._admits(query):
+                    self._send(403, "text/plain", b"the address ends with ?token=...\n")
                 elif path == "/":
                     self._send(200, "text/html; charset=utf-8", _PAGE)
                 elif path == "/preview.jpg" and page._picture:
@@ -101,7 +121,14 @@ class PreviewPage:
 
     @property
     def address(self) -> str:
+        """Where it is, without the token."""
         return f"http://localhost:{self._server.server_address[1]}/"
+
+    def _admits(self, query: str) -> bool:
+        if self._token is None:
+            return True
+        given = parse_qs(query).get("token", [""])[0]
+        return hmac.compare_digest(given.encode(), self._token.encode())
 
     def show(self, picture: bytes) -> None:
         """Replace the picture."""

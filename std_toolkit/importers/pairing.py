@@ -9,7 +9,7 @@ from typing import Literal
 
 from std_toolkit import errors, log
 from std_toolkit.importers.ros_images import pair_stamps
-from std_toolkit.io.foreign_text import read_text
+from std_toolkit.io.regular import read_text
 
 PairBy = Literal["name", "index", "time"]
 Images = dict[str, Path]
@@ -227,6 +227,6 @@ def _time_numbers(images: Images) -> dict[str, float]:
 
 
 def _rows(path: Path) -> list[list[str]]:
-    text = read_text(path, what="list of images", largest_bytes=_LARGEST_LIST_BYTES)
+    text = read_text(path, "list of images", _LARGEST_LIST_BYTES)
     rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
     return [row for row in rows if row]

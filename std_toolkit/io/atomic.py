@@ -225,53 +225,78 @@ def _remove_parents(made: list[Path]) -> None:
             folder.rmdir()
 
 
-def refuse_links(root: Path) -> None:
+def refuse_links(
+    root: Path, *, home: Path | None = None, depth: int | None = None, images: bool = False
+) -> None:
     """Check that no folder that programs write to leads out of `root`.
 
     A scene or a folder of results from somebody else could have a link to any folder of the reader,
-    and a step would write there. Links to files are replaced, never followed, and images may be
-    links.
+    and a step would write there. Links to files are replaced, never followed. Images of a scene,
+    and the folders that hold them, may be links.
+
+    Args:
+        root: folder that is written to; itself it may be a link.
+        home: folder that links may lead into, above or at `root` (default: `root`); then `root`
+            itself must not lead out of it.
+        depth: levels of folders that are looked at (default: all).
+        images: of a scene, whether its images are written to, too.
 
     Raises:
-        ToolkitError: a folder is a symbolic link out of `root`; the message names it.
+        ToolkitError: a folder is a symbolic link out of `home`; the message names it.
     """
-    home = root.resolve()
-    waiting = [root]
+    home = (home or root).resolve()
+    if not root.resolve().is_relative_to(home):
+        raise _leads_out(root)
+    is_scene = (root / "scene.json").is_file() and not images
+    waiting = [(root, 1)]
     while waiting:
-        folder = waiting.pop()
-        with suppress(FileNotFoundError), os.scandir(folder) as entries:
+        folder, level = waiting.pop()
+        with suppress(FileNotFoundError, PermissionError), os.scandir(folder) as entries:
             for entry in entries:
-                if folder == root and entry.name in _INPUT_FOLDERS:
+                if folder == root and is_scene and entry.name in _INPUT_FOLDERS:
                     continue
                 if entry.is_symlink() and entry.is_dir():
-                    target = Path(entry.path).resolve()
-                    if not target.is_relative_to(home):
-                        raise ToolkitError(
-                            "the folder is a symbolic link out of its scene or results, and is "
-                            "written to",
-                            path=entry.path,
-                            value=str(target),
-                            hint="move the files here, or link the whole scene",
-                        )
-                elif entry.is_dir(follow_symlinks=False):
-                    waiting.append(Path(entry.path))
+                    if not Path(entry.path).resolve().is_relative_to(home):
+                        raise _leads_out(Path(entry.path))
+                elif entry.is_dir(follow_symlinks=False) and level != depth:
+                    waiting.append((Path(entry.path), level + 1))
+
+
+def _leads_out(folder: Path) -> ToolkitError:
+    return ToolkitError(
+        "the folder is a symbolic link out of its scene or results, and is written to",
+        path=folder,
+        value=str(folder.resolve()),
+        hint="move the files here, or link the whole scene",
+    )
 
 
 @contextmanager
-def scene_lock(root: Path) -> Iterator[None]:
+def scene_lock(root: Path, *, images: bool = False) -> Iterator[None]:
     """Hold the write lock of a scene; it is released when its process ends.
+
+    Args:
+        images: whether images are written, too; their folders must then be no links, either.
 
     Raises:
         ToolkitError: another process holds it (the message names the owner), or the folder is
             read-only.
     """
-    with hold_lock(root, "lock", doing="writing to"):
+    with hold_lock(root, "lock", doing="writing to", images=images):
         yield
 
 
 @contextmanager
 def hold_lock(
-    root: Path, name: str, *, doing: str, note: str = "", wait: bool = False, what: str = "scene"
+    root: Path,
+    name: str,
+    *,
+    doing: str,
+    note: str = "",
+    wait: bool = False,
+    what: str = "scene",
+    deep: bool = True,
+    images: bool = False,
 ) -> Iterator[None]:
     """Hold one of the locks of a scene; it is released when its process ends.
 
@@ -281,13 +306,15 @@ def hold_lock(
         what: word for the folder in the error message, where it is no scene.
         note: more about the holder, for the same message.
         wait: wait until another process releases it, and log whom it waits for.
+        deep: whether folders below `root` are written to, so that none may be a link out of it.
+        images: whether the images of a scene are written to, too.
 
     Raises:
         ToolkitError: another process holds it (the message names the owner), or the folder is
             read-only.
     """
     path = root / ".std" / name
-    refuse_links(root)
+    refuse_links(root if deep else path.parent, home=root, images=images)
     try:
         path.parent.mkdir(exist_ok=True)
         # The owner's name is written into the file: never follow a link to another file.

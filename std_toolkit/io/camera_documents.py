@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.foreign_files import read_json, read_npy
-from std_toolkit.io.foreign_text import read_text
+from std_toolkit.io.regular import read_text
 
 _LARGEST_FILE = 1024 * 1024
 # Real files of cameras have below 10 levels.
@@ -40,7 +40,7 @@ def read_camera_document(path: Path, size: tuple[int, int] | None) -> Any:
     """
     if path.suffix.lower() == ".npy":
         return read_npy(path).tolist()
-    text = read_text(path, what="intrinsics file", largest_bytes=_LARGEST_FILE)
+    text = read_text(path, "intrinsics file", _LARGEST_FILE)
     if 'Intrinsic of "' in text:
         return _realsense_dump(text, path, size)
     start = text.lstrip()

@@ -4,7 +4,6 @@ import hashlib
 import json
 import math
 import re
-import stat
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,11 +13,15 @@ import msgspec
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.regular import read_regular
 
 T = TypeVar("T")
 
 # The largest real document (poses with covariances of 100,000 frames) is below 200 MB.
 LARGEST_DOCUMENT_BYTES = 512 * 1024 * 1024
+
+# The largest 64-bit integer has 19 digits.
+_MOST_DIGITS = 30
 
 # Raw line breaks occur only between tokens of JSON, so this never matches inside a string.
 _NUMBER_LIST = re.compile(r"\[\n\s*((?:-?[\d.eE+-]+,\n\s*)*-?[\d.eE+-]+)\n\s*\]")
@@ -42,15 +45,7 @@ def read_document(path: Path | str, type_: type[T]) -> T:
             value, named by its path.
     """
     path = Path(path)
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise ToolkitError("the document is not a regular file", path=path)
-        if status.st_size > LARGEST_DOCUMENT_BYTES:
-            raise ToolkitError("the document is implausibly large", path=path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise ToolkitError(f"cannot read the document: {error.strerror}", path=path) from error
+    data = read_regular(path, "document", LARGEST_DOCUMENT_BYTES)
     return decode_document(data, type_, path=path)
 
 
@@ -59,7 +54,7 @@ def decode_document(data: bytes, type_: type[T], *, path: Path | str | None = No
     data = data.removeprefix(b"\xef\xbb\xbf")  # a byte order mark
     try:
         document = msgspec.json.decode(data, type=type_)
-        json.loads(data, object_pairs_hook=refuse_twice)
+        json.loads(data, object_pairs_hook=refuse_twice, parse_int=plain_integer)
     except msgspec.ValidationError as error:
         problem, _, at = str(error).partition(" - at `")
         place = at.strip("`").removeprefix("$").removeprefix(".")
@@ -150,6 +145,19 @@ def refuse_twice(pairs: list[tuple[str, Any]]) -> None:
     if len(set(keys)) != len(keys):
         key = next(k for i, k in enumerate(keys) if k in keys[:i])
         raise ToolkitError("a key appears twice in one object", field=key[:80])
+
+
+def plain_integer(digits: str) -> int:
+    """The `parse_int` of json.
+
+    Raises:
+        ToolkitError: more digits than any reader keeps.
+    """
+    if len(digits) > _MOST_DIGITS:
+        raise ToolkitError(
+            "an integer is implausibly long", value=f"{digits[:20]}... ({len(digits)} digits)"
+        )
+    return int(digits)
 
 
 def plain_number(value: Any) -> Any:

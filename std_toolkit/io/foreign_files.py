@@ -1,4 +1,4 @@
-"""Reading arrays, JSON, YAML and CSV files of other programs, whatever they hold.
+"""Reading arrays, JSON, YAML, TOML and CSV files of others, whatever they hold.
 
 The readers of NumPy, PyYAML and csv trust their input: a header of a few bytes can ask for a
 terabyte, aliases of YAML grow exponentially, and a long field raises an error without a file name.
@@ -7,22 +7,39 @@ terabyte, aliases of YAML grow exponentially, and a long field raises an error w
 import csv
 import json
 import math
-from collections.abc import Iterable, Iterator
+import os
+import re
+import struct
+import tokenize
+import tomllib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import refuse_twice
+from std_toolkit.io.documents import plain_integer, refuse_twice
+from std_toolkit.io.regular import open_regular_file, read_text
+
+T = TypeVar("T")
 
 # Real YAML files of poses and cameras are below 100 kB and 10 levels.
 _LARGEST_YAML_BYTES = 1024 * 1024
 _DEEPEST_YAML = 40
 _LARGEST_JSON_BYTES = 16 * 1024 * 1024
-# The largest 64-bit integer has 19 digits.
-_MOST_DIGITS = 30
+_LARGEST_NPY_BYTES = 2**40
+_MOST_PARTS = 20
+# A string, a comment or a long number; or one sign that parts keys, tables and values.
+_TOML_SIGNS = re.compile(
+    r'"""(?:[^\\]|\\.)*?(?:"""|\Z)|"(?:[^"\\\n]|\\.)*"|'
+    r"'''.*?(?:'''|\Z)|'[^'\n]*'|#[^\n]*|"
+    r"\b\d[\da-fA-F_]{40,}|[][{}=,.\n]",
+    re.DOTALL,
+)
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -31,34 +48,80 @@ def read_npy(path: Path) -> NDArray[Any]:
     Raises:
         ToolkitError: not found, not such a file, or not the number of bytes that its header says.
     """
+    return _npy(path, lambda file, header: np.fromfile(file, header.dtype, header.count))
+
+
+def mapped_npy(path: Path, records: np.dtype[Any] | None = None) -> NDArray[Any]:
+    """A .npy file with an array of numbers, read from the disk where it is used; read-only.
+
+    Args:
+        records: type of the records that it must hold instead of numbers.
+
+    Raises:
+        ToolkitError: as `read_npy`.
+    """
+
+    def mapped(file: BinaryIO, header: _Header) -> NDArray[Any]:
+        if not header.count:
+            return np.empty(0, header.dtype)
+        at = file.tell()
+        return np.memmap(file, header.dtype, "r", offset=at, shape=(header.count,))
+
+    return _npy(path, mapped, records)
+
+
+@dataclass(frozen=True)
+class _Header:
+    """Of a .npy file."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+
+    @property
+    def count(self) -> int:
+        # Python's integers: the product of the sizes may be larger than 64 bits.
+        return math.prod(self.shape)
+
+
+def _npy(
+    path: Path,
+    load: Callable[[BinaryIO, _Header], NDArray[Any]],
+    records: np.dtype[Any] | None = None,
+) -> NDArray[Any]:
     try:
-        with path.open("rb") as file:
-            _check_npy(file, path)
-            file.seek(0)
-            return np.asarray(np.load(file, allow_pickle=False))
-    except FileNotFoundError as error:
-        raise ToolkitError("file not found", path=path) from error
-    except (ValueError, OSError, EOFError, TypeError, SyntaxError, RecursionError) as error:
-        raise ToolkitError(f"not a numpy array of numbers: {error}", path=path) from error
+        with open_regular_file(path, "array", _LARGEST_NPY_BYTES) as file:
+            header = _npy_header(file, path, records)
+            found = load(file, header)
+    except (
+        *(ValueError, OSError, EOFError, TypeError, SyntaxError, RecursionError, MemoryError),
+        *(OverflowError, LookupError, AttributeError, tokenize.TokenError, struct.error),
+    ) as error:
+        line = " ".join(str(error).split())
+        raise ToolkitError(f"not a numpy array of numbers: {line[:200]}", path=path) from error
+    return found.reshape(header.shape, order="F" if header.fortran else "C")
 
 
-def _check_npy(file: BinaryIO, path: Path) -> None:
+def _npy_header(file: BinaryIO, path: Path, records: np.dtype[Any] | None) -> _Header:
     version = np.lib.format.read_magic(file)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-    else:
-        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
-    if dtype.kind not in "biuf":
+    read = np.lib.format.read_array_header_1_0
+    shape, fortran, dtype = (
+        read(file) if version == (1, 0) else np.lib.format.read_array_header_2_0(file)
+    )
+    if dtype != records and (records is not None or dtype.kind not in "biuf"):
         raise ToolkitError("not a numpy array of numbers", path=path, value=str(dtype))
-    # Python's integers: the product of the sizes may be larger than 64 bits.
-    needed = math.prod(int(n) for n in shape) * dtype.itemsize
-    held = path.stat().st_size - file.tell()
+    header = _Header(tuple(int(n) for n in shape), bool(fortran), dtype)
+    if min(header.shape, default=0) < 0:
+        raise ToolkitError("the file is damaged: a negative size", path=path, value=header.shape)
+    needed = header.count * dtype.itemsize
+    held = os.fstat(file.fileno()).st_size - file.tell()
     if needed != held:
         raise ToolkitError(
             f"the file is damaged: its header needs {needed} bytes of numbers, it holds {held}",
             path=path,
-            value="x".join(map(str, shape)) or "one number",
+            value="x".join(map(str, header.shape)) or "one number",
         )
+    return header
 
 
 def read_json(path: Path, *, largest_bytes: int = _LARGEST_JSON_BYTES) -> Any:
@@ -68,20 +131,14 @@ def read_json(path: Path, *, largest_bytes: int = _LARGEST_JSON_BYTES) -> Any:
         ToolkitError: unreadable, larger than `largest_bytes`, not JSON, nested too deeply, a key
             given twice, or a number of more digits than any reader keeps.
     """
+    text = read_text(path, "JSON file", largest_bytes)
     try:
-        if path.stat().st_size > largest_bytes:
-            raise ToolkitError("the JSON file is implausibly large", path=path)
-        text = path.read_text(encoding="utf-8-sig")
-        return json.loads(text, object_pairs_hook=_unique_keys, parse_int=_plain_integer)
-    except OSError as error:
-        raise ToolkitError(f"cannot read the file: {error.strerror}", path=path) from error
+        return json.loads(text, object_pairs_hook=_unique_keys, parse_int=plain_integer)
     except ToolkitError as error:
-        raise ToolkitError(
-            error.problem, path=path, field=error.field, value=error.value
-        ) from error
+        raise error.revised(path=path) from error
     except RecursionError as error:
         raise ToolkitError("not valid JSON: nested too deeply", path=path) from error
-    except ValueError as error:  # also UnicodeDecodeError
+    except ValueError as error:
         raise ToolkitError(f"not valid JSON: {str(error)[:200]}", path=path) from error
 
 
@@ -90,12 +147,49 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _plain_integer(digits: str) -> int:
-    if len(digits) > _MOST_DIGITS:
-        raise ToolkitError(
-            "an integer is implausibly long", value=f"{digits[:20]}... ({len(digits)} digits)"
-        )
-    return int(digits)
+def read_toml(path: Path, type_: type[T]) -> T:
+    """A TOML file as a Struct, or whatever msgspec knows.
+
+    Python's parser of TOML makes a table of each part of a dotted key, and copies the key for each:
+    8,000 parts take half a gigabyte.
+
+    Raises:
+        ToolkitError: unreadable, larger than 1 MB, no TOML, nested deeper than 40 levels, a key of
+            more than 20 parts, or a field of another type; the field is named.
+    """
+    text = read_text(path, "TOML file", _LARGEST_YAML_BYTES)
+    _check_toml(text, path)
+    try:
+        values = tomllib.loads(text, parse_float=float)
+        return msgspec.convert(values, type_)
+    except msgspec.ValidationError as error:
+        problem, _, at = str(error).partition(" - at `$")
+        raise ToolkitError(problem, path=path, field=at.strip("`.") or None) from error
+    except ToolkitError as error:
+        raise error.revised(path=path) from error
+    except (ValueError, RecursionError) as error:  # also TOMLDecodeError
+        line = " ".join(str(error).split())
+        raise ToolkitError(f"no TOML: {line[:200]}", path=path) from error
+
+
+def _check_toml(text: str, path: Path) -> None:
+    """Refuse deep nesting, long keys and long numbers outside of strings and comments."""
+    depth = parts = 0
+    for found in _TOML_SIGNS.finditer(text):
+        sign = found[0]
+        if sign[0].isdigit():
+            line = text.count("\n", 0, found.start()) + 1
+            raise ToolkitError("a number is implausibly long", path=path, field=f"line {line}")
+        if len(sign) > 1:
+            continue  # a string or a comment
+        depth += (sign in "[{") - (sign in "]}")
+        parts = parts + 1 if sign == "." else 0
+        if depth > _DEEPEST_YAML or parts > _MOST_PARTS:
+            line = text.count("\n", 0, found.start()) + 1
+            problem = f"nested deeper than {_DEEPEST_YAML} levels"
+            if depth <= _DEEPEST_YAML:
+                problem = f"a key of more than {_MOST_PARTS} parts"
+            raise ToolkitError(problem, path=path, field=f"line {line}")
 
 
 def read_yaml(path: Path) -> Any:
@@ -107,10 +201,8 @@ def read_yaml(path: Path) -> Any:
     """
     import yaml  # type: ignore[import-untyped]
 
+    text = read_text(path, "YAML file", _LARGEST_YAML_BYTES)
     try:
-        if path.stat().st_size > _LARGEST_YAML_BYTES:
-            raise ToolkitError("the YAML file is implausibly large", path=path)
-        text = path.read_text(encoding="utf-8-sig")
         depth = 0
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         for event in yaml.parse(text, Loader=loader):
@@ -134,9 +226,10 @@ def read_yaml(path: Path) -> Any:
         if node is not None:
             _refuse_twice(node, path)
         return yaml.load(text, Loader=loader)
-    except OSError as error:
-        raise ToolkitError(f"cannot read the file: {error.strerror}", path=path) from error
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except (
+        *(yaml.YAMLError, ValueError, RecursionError, OverflowError),
+        *(TypeError, AttributeError, LookupError),  # of odd scalars: times, keys that are lists
+    ) as error:
         line = " ".join(str(error).split())
         raise ToolkitError(f"not valid YAML: {line[:200]}", path=path) from error
 

@@ -203,12 +203,8 @@ def begin(
         ToolkitError: the folder contains files, except hidden ones, but not this document; or it
             was begun with other values, which the message lists.
     """
+    check_begun(path, hint=hint, beside=beside)
     if not path.exists():
-        there = path.parent.iterdir() if path.parent.is_dir() else ()
-        if any(p.name[0] != "." and p.name not in beside for p in there):
-            raise ToolkitError(
-                f"the folder contains files but no {path.name}", path=path.parent, hint=hint
-            )
         write_document(path, document)
         return
     begun = read_document(path, type(document))
@@ -226,6 +222,19 @@ def begin(
             field=first,
             value=now.get(first),
             hint=hint + more,
+        )
+
+
+def check_begun(path: Path, *, hint: str, beside: Sequence[str] = ()) -> None:
+    """Look at a folder of results before it is walked or locked; see `begin`.
+
+    Raises:
+        ToolkitError: the folder contains files, except hidden ones, but not this document.
+    """
+    there = path.parent.iterdir() if path.parent.is_dir() and not path.exists() else ()
+    if any(p.name[0] != "." and p.name not in beside for p in there):
+        raise ToolkitError(
+            f"the folder contains files but no {path.name}", path=path.parent, hint=hint
         )
 
 

@@ -73,7 +73,11 @@ def _tell(message: str) -> None:
 
 def _kill(process: int) -> None:
     with suppress(OSError):
-        os.kill(process, signal.SIGKILL)
+        # A program of others has a group of its own.
+        if os.getpgid(process) == process:
+            os.killpg(process, signal.SIGKILL)
+        else:
+            os.kill(process, signal.SIGKILL)
 
 
 def children_of(program: int) -> list[int]:

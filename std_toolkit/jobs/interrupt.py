@@ -84,18 +84,6 @@ def ended_by_signals(message: str, *, grace_s: float | None = None) -> Iterator[
             _leave(guarding)
 
 
-def keep_handlers() -> None:
-    """Install Python's handlers again after a library replaced them.
-
-    The log library within pycolmap prints a stack trace at SIGTERM and ends the process.
-    """
-    if threading.current_thread() is threading.main_thread():
-        for number in guard.SIGNALS:
-            handler = signal.getsignal(number)
-            if callable(handler):
-                signal.signal(number, handler)
-
-
 @contextmanager
 def whole_imports() -> Iterator[None]:
     """A signal within the block is handled behind it.
@@ -194,6 +182,8 @@ def _end_with_status() -> None:
 
 def _end(from_guard: int, message: str, process: subprocess.Popen[bytes]) -> None:
     """End this process when the guard says so, with the status of a signal."""
+    # Signals are for the main thread: while it lets them wait, they wait.
+    signal.pthread_sigmask(signal.SIG_BLOCK, guard.SIGNALS)
     number = os.read(from_guard, 1)
     if number:
         if _signals is not None:  # within the block, which tells by itself if it can

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from std_toolkit.errors import ToolkitError, missing_extra
+from std_toolkit.plugins import error_of_plugin
 
 Item = TypeVar("Item")
 
@@ -33,7 +34,7 @@ def worker_died() -> Outcome[Any]:
 
 def error_of(error: BaseException) -> Outcome[Any]:
     """The outcome of an item that raised `error`."""
-    error = missing_extra(error) or error
+    error = missing_extra(error) or error_of_plugin(error) or error
     if isinstance(error, ToolkitError):
         return Outcome(error=str(error))
     return Outcome(error=f"{type(error).__name__}: {' '.join(str(error).split())[:500]}")

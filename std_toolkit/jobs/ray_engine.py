@@ -98,8 +98,6 @@ def _run(
 def _connect(options: JobOptions, tell: bool) -> None:
     import ray
 
-    # A cluster that we start sends no usage statistics.
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     address = options.ray_address
     if address is not None:
         _check_reachable(address)

@@ -22,6 +22,8 @@ from std_toolkit.scene.model import ScaleEstimate
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 MAX_FRAMES = 60
+# No printed board has more; OpenCV takes memory for the square of their number.
+_MOST_SQUARES, _MOST_TAGS = 100, 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +88,10 @@ class Board:
         dictionary = str(data.get("dictionary", "DICT_APRILTAG_36h11"))
         _dictionary(dictionary, path)
         tags = []
-        for key in sorted((k for k in data if k.isdigit()), key=int):
+        ids = sorted((k for k in data if k.isascii() and k.isdecimal()), key=int)
+        if len(ids) > _MOST_TAGS:
+            raise ToolkitError(f"a board has at most {_MOST_TAGS} tags", path=path, value=len(ids))
+        for key in ids:
             corners = _corners(data[key], path, key)
             tags.append((int(key), tuple((x, y, z) for x, y, z in corners.tolist())))
         if not tags:
@@ -237,6 +242,13 @@ def _read_charuco(value: object, path: Path) -> Board:
             )
         numbers.append(float(number))
     nx, ny, square, marker = numbers
+    if max(nx, ny) > _MOST_SQUARES:
+        raise ToolkitError(
+            f"has at most {_MOST_SQUARES} x {_MOST_SQUARES} squares",
+            path=path,
+            field="charuco",
+            value=numbers[:2],
+        )
     if nx < 2 or ny < 2 or nx != int(nx) or ny != int(ny) or marker >= square:
         raise ToolkitError(
             "needs at least 2x2 whole squares, and markers smaller than squares",

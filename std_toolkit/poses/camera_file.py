@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.filed_cameras import camera_of_fields
 from std_toolkit.geometry.intrinsics import Intrinsics
+from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.foreign_files import read_json, read_npy
 from std_toolkit.poses.camera_table import FiledCameras, pose_or_lost, read_table
 
@@ -260,6 +261,7 @@ def _read_colmap(folder: Path) -> FiledCameras:
 
     from std_toolkit.poses.colmap import from_colmap_camera, from_rigid3d, quiet_colmap
 
+    check_colmap_model(folder)
     try:
         with quiet_colmap():
             model = pycolmap.Reconstruction(folder)

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from std_toolkit.io.atomic import atomic_path, sweep_temporaries
+from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.documents import digest_files, write_document
 from std_toolkit.jobs.artefact import Record, changed_files, read_record, record_path
 from std_toolkit.poses.colmap import quiet_colmap
@@ -50,6 +51,7 @@ def rescale_model(root: Path, factor: float) -> None:
     if not (root / SPARSE).is_dir():
         return
     with quiet_colmap():
+        check_colmap_model(root / SPARSE)
         model = pycolmap.Reconstruction(root / SPARSE)
         model.transform(pycolmap.Sim3d(factor, pycolmap.Rotation3d(), [0.0, 0.0, 0.0]))
     with work_folder(root) as work:

@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.documents import digest_file, digest_of, read_document, write_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
@@ -120,6 +121,7 @@ def reconstruct(
     else:
         logger.info("camera poses: using the model of the last run (inputs unchanged)")
     with quiet_colmap():
+        check_colmap_model(stored / "sparse")
         model = pycolmap.Reconstruction(stored / "sparse")
     return Reconstructed(model, read_document(stored / "about.json", Reconstruction))
 

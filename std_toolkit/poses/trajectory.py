@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,8 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
-from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.atomic import new_folder, write_bytes_atomic
+from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.log import logger
 from std_toolkit.scene import Scene
 
@@ -89,42 +89,32 @@ def _write_colmap(scene: Scene, out: Path) -> None:
 
     from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_rigid3d
 
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ToolkitError("output exists and is not empty", path=out, hint="name a new folder")
-    work = out.with_name(f".{out.name}.partial")
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
-    try:
-        with quiet_colmap():
-            if (
-                scene.poses
-                and scene.poses.source == "sfm"
-                and (scene.root / "poses" / "sparse").is_dir()
-            ):
-                model = pycolmap.Reconstruction(scene.root / "poses" / "sparse")
-            else:
-                model = pycolmap.Reconstruction()
-                numbers = {key: i for i, key in enumerate(sorted(scene.info.cameras), start=1)}
-                for key, number in numbers.items():
-                    frame = next((f for f in scene.frames if f.camera == key), None)
-                    if frame is not None:
-                        camera = to_colmap_camera(scene.camera(frame), number)
-                        model.add_camera_with_trivial_rig(camera)
-                for frame in scene.frames:
-                    T: SE3 | None = scene.T_world_cam(frame.id)
-                    if T is not None:
-                        image = pycolmap.Image(
-                            name=frame.color,
-                            camera_id=numbers[frame.camera],
-                            image_id=frame.id + 1,
-                        )
-                        model.add_image_with_trivial_frame(image, to_rigid3d(T.inverse()))
-            model.write_text(work)
-        if out.exists():
-            out.rmdir()
-        work.replace(out)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+    with new_folder(out) as work, quiet_colmap():
+        if (
+            scene.poses
+            and scene.poses.source == "sfm"
+            and (scene.root / "poses" / "sparse").is_dir()
+        ):
+            check_colmap_model(scene.root / "poses" / "sparse")
+            model = pycolmap.Reconstruction(scene.root / "poses" / "sparse")
+        else:
+            model = pycolmap.Reconstruction()
+            numbers = {key: i for i, key in enumerate(sorted(scene.info.cameras), start=1)}
+            for key, number in numbers.items():
+                frame = next((f for f in scene.frames if f.camera == key), None)
+                if frame is not None:
+                    camera = to_colmap_camera(scene.camera(frame), number)
+                    model.add_camera_with_trivial_rig(camera)
+            for frame in scene.frames:
+                T: SE3 | None = scene.T_world_cam(frame.id)
+                if T is not None:
+                    image = pycolmap.Image(
+                        name=frame.color,
+                        camera_id=numbers[frame.camera],
+                        image_id=frame.id + 1,
+                    )
+                    model.add_image_with_trivial_frame(image, to_rigid3d(T.inverse()))
+        model.write_text(work)
 
 
 def _write_nerf(scene: Scene, out: Path) -> None:

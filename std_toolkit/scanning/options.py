@@ -8,7 +8,11 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs import JobOptions
+from std_toolkit.jobs.door import Writes
 from std_toolkit.options import KnownCameras
+
+# Work of an earlier version lies in .scan.
+MODEL_FOLDER = Writes("results", (".scan",))
 
 # Groups of limits that decide a scan.
 LIMITS = ("scanning.", "poses.")
@@ -29,7 +33,7 @@ class ScanOptions:
     of std-curate import, whose sensor depth helps on plain surfaces"""
     flipped: Path | None = field(default=None, metadata={"option": ""})
     """folder or video of the same object turned over on the same board"""
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": MODEL_FOLDER})
     """folder for the model; its name is the name of the model"""
     board: Path | None = None
     """description of the printed board on which the object stands (JSON)"""
@@ -76,6 +80,12 @@ class ScanOptions:
                 "needs the board, which tells what is upright", field="--wall-mm",
                 value=self.wall_mm, hint="leave it out with --cameras",
             )  # fmt: skip
+        for option, given in (("--pick", self.pick), ("--box", self.box)):
+            if given is not None and self.board is None:
+                raise ToolkitError(
+                    "chooses one of several objects on the board", field=option, value=given,
+                    hint="give --board FILE, or masks with --masks",
+                )  # fmt: skip
         if self.flipped is None:
             return
         if self.photos.resolve() == self.flipped.resolve():
@@ -108,7 +118,7 @@ class ScanOptions:
 class BoardCommand:
     """Make the board that the object stands on: a PDF to print at 100 %, and its description."""
 
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("file")})
     """PDF file; the description has the same name with the suffix .json"""
     paper: Literal["a4", "a3"] = "a4"
     """size of the sheet"""

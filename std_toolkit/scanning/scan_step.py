@@ -14,12 +14,13 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.jobs.artefact import Artefact
+from std_toolkit.jobs.door import check_own, has_record, output, own_files
 from std_toolkit.log import logger
 from std_toolkit.scanning.masks.object_masks import both_positions, object_masks
 from std_toolkit.scanning.model.bake import bake_texture
 from std_toolkit.scanning.model.model_frame import find_symmetry, model_frame, write_symmetry
-from std_toolkit.scanning.model.write_model import Scan, write_model
-from std_toolkit.scanning.options import LIMITS, ScanOptions
+from std_toolkit.scanning.model.write_model import Scan, file_names, write_model
+from std_toolkit.scanning.options import LIMITS, MODEL_FOLDER, ScanOptions
 from std_toolkit.scanning.photos import photos as photo_files
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.video import is_video, sample_video
@@ -60,10 +61,18 @@ def scan(options: ScanOptions) -> Scan:
     Raises:
         ToolkitError: the photos do not suffice; the message says what to photograph.
     """
+    with output(options.out, MODEL_FOLDER, "std-scan photos"):
+        work, names = options.out / ".scan", file_names(options.out.resolve().name)
+        # A model of an earlier version has no record.
+        known = names if work.is_dir() and not has_record(options.out) else []
+        check_own(options.out, names, known=known)
+        work.mkdir(exist_ok=True)
+        return _scan(options, work, known)
+
+
+def _scan(options: ScanOptions, work: Path, known: Sequence[str]) -> Scan:
     from std_toolkit.scanning.model.report import write_report
 
-    work = options.out / ".scan"
-    work.mkdir(parents=True, exist_ok=True)
     threads = options.jobs.worker_count
     seconds: dict[str, float] = {}
     began = time.perf_counter()
@@ -112,9 +121,10 @@ def scan(options: ScanOptions) -> Scan:
         warnings=posed.warnings,
         seconds=seconds,
     )
-    write_model(options.out, result.name, result.vertices, faces, texture)
-    write_symmetry(options.out, symmetry)
-    write_report(options.out, result)
+    with own_files(options.out, file_names(result.name), known=known):
+        write_model(options.out, result.name, result.vertices, faces, texture)
+        write_symmetry(options.out, symmetry)
+        write_report(options.out, result)
     lap("files")
     return result
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.plugins import Registry
+from std_toolkit.plugins import Registry, error_of_plugin, names_of
 
 
 @pytest.fixture
@@ -69,3 +69,31 @@ def test_a_file_is_a_plug_in(tmp_path: Path) -> None:
     for _ in range(2):
         with pytest.raises(ToolkitError, match="division by zero"):
             registry.get(f"{file}:Part")
+
+
+def test_an_error_of_a_plug_in_names_its_file_and_line(registry: Registry, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("def run(x):\n    return 1 / x\n\ndef odd(x):\n    return None\n")
+    run = registry.get(f"{file}:run")
+    with pytest.raises(ZeroDivisionError) as raised:
+        run(0)
+    found = error_of_plugin(raised.value)
+    assert found is not None
+    assert str(found).startswith(f"{file}: line 2, run: ZeroDivisionError: division by zero")
+    with pytest.raises(TypeError) as raised_here:
+        len(registry.get(f"{file}:odd")(0))
+    found = error_of_plugin(raised_here.value)
+    assert found is not None
+    assert str(file) in str(found) and "does the plug-in give what" in str(found)
+
+
+def test_names_of_a_document_run_no_code(registry: Registry, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nX = 1\n")
+    with names_of("the recipe a.toml"):
+        assert registry.get("sqrt")(4) == 2
+        for name in (f"{file}:X", "math:floor"):
+            with pytest.raises(ToolkitError, match=r"a\.toml names code, which is not loaded"):
+                registry.get(name)
+    assert not (tmp_path / "ran").exists()
+    assert registry.get(f"{file}:X") == 1

@@ -28,8 +28,6 @@ def within_a_library():  # Python handles no signal before it returns
 
 def after_pycolmap():  # its log library handles SIGTERM by itself
     import pycolmap
-    from std_toolkit.jobs.interrupt import keep_handlers
-    keep_handlers()
     print("imported", flush=True)
     loop()
 

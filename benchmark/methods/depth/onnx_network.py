@@ -5,12 +5,14 @@
 """
 
 import os
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.data.frame import resize_nearest
 from benchmark.methods.protocol import Restored, View
@@ -29,9 +31,12 @@ class OnnxConfig:
 
     Attributes:
         threads: of an operation; None for OMP_NUM_THREADS, or else all usable cores.
+        timeout_s: seconds after which a frame is given up: a graph can hold a loop without end.
+            The shipped networks take up to 4 s.
     """
 
     threads: int | None = None
+    timeout_s: float = 20.0
 
 
 class OnnxNetwork:
@@ -56,7 +61,7 @@ class OnnxNetwork:
                 value=options.precision,
             )
         config = configured(OnnxConfig(), options.settings)
-        self.weights = options.weights
+        self.weights, self._timeout_s = options.weights, config.timeout_s
         self._session = _session(options.weights, options.device, config.threads)
         self.input_size = _input_size(self._session, options.weights)
 
@@ -72,17 +77,56 @@ class OnnxNetwork:
             depth = resize_nearest(depth, self.input_size)
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0)
         images = (color.transpose(2, 0, 1).astype(np.float32) / np.float32(255), depth[None])
-        outputs = self._session.run(
-            None,
-            {
-                name: np.ascontiguousarray(image[None], np.float32)
-                for name, image in zip(INPUTS, images, strict=True)
-            },
-        )
+        named = {
+            name: np.ascontiguousarray(image[None], np.float32)
+            for name, image in zip(INPUTS, images, strict=True)
+        }
+        expected = (1, 1, self.input_size[1], self.input_size[0])
+        outputs = self._run(named)
+        for output in outputs:
+            if np.shape(output) != expected:
+                raise ToolkitError(
+                    f"an answer of the network must have the shape {expected}",
+                    path=self.weights,
+                    value=np.shape(output),
+                )
         found = [np.asarray(output[0, 0], np.float32) for output in outputs]
         if size != self.input_size:
             found = [resize_nearest(image, size) for image in found]
         return Restored(found[0], found[1].clip(0, 1) if len(found) > 1 else None)
+
+    def _run(self, images: dict[str, NDArray[np.float32]]) -> list[NDArray[Any]]:
+        """What the network answers.
+
+        Raises:
+            ToolkitError: it fails, or takes longer than `timeout_s`.
+        """
+        import onnxruntime
+
+        options = onnxruntime.RunOptions()
+        options.log_severity_level = 4  # a failure is reported below
+        late = threading.Event()
+
+        def end() -> None:
+            late.set()
+            options.terminate = True
+
+        timer = threading.Timer(self._timeout_s, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            return list(self._session.run(None, images, options))
+        except Exception as error:  # the binding has an exception for every status
+            if late.is_set():
+                raise ToolkitError(
+                    f"the network took longer than {self._timeout_s:g} s for a frame",
+                    path=self.weights,
+                    hint="--set timeout_s=SECONDS allows more",
+                ) from error
+            line = " ".join(str(error).split())[:300]
+            raise ToolkitError(f"the network fails: {line}", path=self.weights) from error
+        finally:
+            timer.cancel()
 
 
 def _session(path: Path, device: str, threads: int | None) -> Any:
@@ -93,7 +137,8 @@ def _session(path: Path, device: str, threads: int | None) -> Any:
             "onnxruntime is not installed", hint="pip install 'std-toolkit[restore]'"
         ) from error
     if not path.is_file():
-        raise ToolkitError("no such file of weights", path=path)
+        problem = "is not a regular file" if path.exists() else "no such file of weights"
+        raise ToolkitError(problem, path=path)
     if path.suffix != ".onnx":
         raise ToolkitError("not an ONNX file", path=path, hint="`std-restore export` writes one")
     kind, _, index = device.partition(":")

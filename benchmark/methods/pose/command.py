@@ -4,11 +4,15 @@ For methods that run in an environment of their own, such as a container. The pr
 in BOP's layout and writes `results.csv` into it; docs/pose.md describes both.
 """
 
+import os
 import shlex
 import shutil
+import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +40,11 @@ _DEPTH_SCALE_MM = 0.1
 _LARGEST = 65535
 _ROUGH = 0.1  # rotations in BOP's files may be that far off
 _TAIL = 300  # characters of the program's last words in an error
+_LOOK_S = 0.5
+_GRACE_S = 2.0  # from SIGTERM to SIGKILL
+_MOST_OUTPUT_BYTES = 512 * 2**20
+# Programs that leave the work to a server, which does not end with them.
+_CONTAINERS = ("docker", "podman", "nerdctl")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,9 +130,10 @@ class CommandMethod:
         if not views:
             return []
         with tempfile.TemporaryDirectory(prefix="std-command-") as name:
-            folder = Path(name)
+            folder = Path(name) / "frames"
+            folder.mkdir()
             write_frames(folder, views, self._root / "models")
-            self._run(folder)
+            self._run(folder, Path(name))
             path = folder / RESULTS
             if not path.is_file():
                 raise ToolkitError(f"the command wrote no {RESULTS}", value=self.words[0])
@@ -139,32 +149,56 @@ class CommandMethod:
             self._estimated([e for e in found if e.im_id == number]) for number in range(len(views))
         ]
 
-    def _run(self, folder: Path) -> None:
+    def _run(self, folder: Path, logs: Path) -> None:
+        """Run the program in a group of its own, which ends with it; its output goes to files."""
         words = [word.replace(_FOLDER, str(folder)) for word in self.words]
+        out, errors = logs / "stdout", logs / "stderr"
         try:
-            done = subprocess.run(
-                words,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=self.config.timeout_s,
-            )
+            with out.open("wb") as to_out, errors.open("wb") as to_errors:
+                process = subprocess.Popen(
+                    words, stdin=subprocess.DEVNULL, stdout=to_out, stderr=to_errors,
+                    start_new_session=True,
+                )  # fmt: skip
         except FileNotFoundError as error:
             raise ToolkitError("no such program", field="--method", value=words[0]) from error
-        except subprocess.TimeoutExpired as error:
-            raise ToolkitError(
-                f"the command took longer than {self.config.timeout_s:g} s",
-                value=words[0],
-                hint="--set timeout_s=SECONDS, or a smaller --batch-size",
-            ) from error
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise ToolkitError(f"cannot start the command: {error}", value=words[0]) from error
-        if done.returncode:
-            said = (done.stderr.strip() or done.stdout.strip())[-_TAIL:]
+        try:
+            status = self._wait(process, (out, errors))
+        finally:
+            _end_group(process.pid)
+        if status:
+            said = (_tail(errors).strip() or _tail(out).strip())[-_TAIL:]
             raise ToolkitError(
-                f"the command ended with status {done.returncode}: {' '.join(said.split())}",
+                f"the command ended with status {status}: {' '.join(said.split())}",
                 value=words[0],
             )
+
+    def _wait(self, process: subprocess.Popen[bytes], outputs: Sequence[Path]) -> int:
+        """The status of the program.
+
+        Raises:
+            ToolkitError: it takes too long, or prints without end.
+        """
+        hint = "--set timeout_s=SECONDS, or a smaller --batch-size"
+        if Path(self.words[0]).name in _CONTAINERS:
+            hint += f"; its container may still run: see `{self.words[0]} ps`"
+        ends = time.monotonic() + self.config.timeout_s
+        while True:
+            left = ends - time.monotonic()
+            try:
+                return process.wait(timeout=min(_LOOK_S, max(left, 0)))
+            except subprocess.TimeoutExpired:
+                if left <= _LOOK_S:
+                    raise ToolkitError(
+                        f"the command took longer than {self.config.timeout_s:g} s",
+                        value=self.words[0], hint=hint,
+                    ) from None  # fmt: skip
+            if sum(path.stat().st_size for path in outputs) > _MOST_OUTPUT_BYTES:
+                raise ToolkitError(
+                    f"the command printed more than {_MOST_OUTPUT_BYTES // 2**20} MB",
+                    value=self.words[0], hint="is it in a loop?",
+                )  # fmt: skip
 
     def _estimated(self, found: Sequence[BopEstimate]) -> Estimated:
         kept = [(e, self._boxes[e.obj_id]) for e in found if self._boxes[e.obj_id].class_id]
@@ -183,6 +217,35 @@ class CommandMethod:
             np.array([e.score for e, _ in kept]),
         )
         return Estimated(prediction)
+
+
+def _tail(path: Path) -> str:
+    """The last words of a program."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 4 * _TAIL))
+        return file.read().decode(errors="replace")
+
+
+def _end_group(leader: int) -> None:
+    """End what is left of a group of processes: politely, then in any case."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        try:
+            os.killpg(leader, number)
+        except ProcessLookupError:
+            return
+        ends = time.monotonic() + _GRACE_S
+        while time.monotonic() < ends and _is_group(leader):
+            time.sleep(0.05)
+
+
+def _is_group(leader: int) -> bool:
+    with suppress(ChildProcessError):
+        os.waitpid(leader, os.WNOHANG)  # one that has ended would count
+    try:
+        os.killpg(leader, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def write_frames(folder: Path, views: Sequence[PoseView], models: Path) -> None:

@@ -10,6 +10,7 @@
 <pack>/scene-00000.json             poses; written last, when the scene is complete
 """
 
+import hashlib
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +20,7 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.foreign_files import mapped_npy
 
 PACK = "grasps.json"
 _FX_640 = 446.31  # of DREDS at a width of 640 pixels
@@ -123,6 +125,11 @@ def read_setup(folder: Path) -> GraspPackSetup:
     return read_document(folder / PACK, GraspPackSetup)
 
 
+def digest_of_points(points: np.ndarray) -> str:
+    """Digest of the points of a frame."""
+    return hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
+
+
 def open_array(folder: Path, number: int, name: str) -> np.ndarray:
     """An array of a scene, mapped into memory.
 
@@ -131,10 +138,9 @@ def open_array(folder: Path, number: int, name: str) -> np.ndarray:
     """
     path = scene_folder(folder, number) / f"{name}.npy"
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise ToolkitError(
-            f"the packed scene cannot be read: {error}",
-            path=path,
+        return mapped_npy(path)
+    except ToolkitError as error:
+        raise error.revised(
+            problem=f"the packed scene cannot be read: {error.problem}",
             hint=f"delete {index_path(folder, number).name} and run `std-train pack-grasps` again",
         ) from error

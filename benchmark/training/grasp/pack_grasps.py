@@ -1,6 +1,5 @@
 """Generates and packs scenes of labelled grasps."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
@@ -26,7 +25,7 @@ from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.jobs.artefact import begin
+from std_toolkit.jobs.artefact import begin, check_begun
 
 # A point on an object has the grasps of the labelled point that is nearest, unless that is
 # farther than so many spacings.
@@ -73,6 +72,7 @@ def pack_grasps(
     options = options or GraspPackOptions()
     if scenes < 1:
         raise ToolkitError("must be at least 1", field="scenes", value=scenes)
+    check_begun(folder / pack_files.PACK, hint="choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="packing into", what="folder"):
         begin_pack(folder, options, network)
@@ -189,7 +189,10 @@ def write_scene(
     ends = np.cumsum([len(c) for c in clouds]).tolist()
     frames = [
         pack_files.PackedView(
-            begin=b, end=e, T_world_cam=T.matrix().ravel().tolist(), digest=_digest(c)
+            begin=b,
+            end=e,
+            T_world_cam=T.matrix().ravel().tolist(),
+            digest=pack_files.digest_of_points(c),
         )
         for b, e, T, c in zip([0, *ends], ends, cameras, clouds, strict=False)
     ]
@@ -266,7 +269,3 @@ def _write_meshes(path: Path, objects: Sequence[tabletop.TableObject]) -> None:
         arrays[f"faces{number}"] = np.asarray(obj.faces, np.int32)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
-
-
-def _digest(cloud: NDArray[np.float32]) -> str:
-    return hashlib.blake2b(cloud.tobytes(), digest_size=8).hexdigest()

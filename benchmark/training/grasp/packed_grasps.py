@@ -113,6 +113,23 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
     def __len__(self) -> int:
         return len(self.frames)
 
+    def check(self, chosen: Sequence[int]) -> None:
+        """Check that the points of frames are those that were packed, by their digests.
+
+        Raises:
+            ToolkitError: a scene is damaged or was changed; names it.
+        """
+        for index in chosen:
+            frame, view = self.frames[index], self._view(index)
+            points = self._open(index)["points"][view.begin : view.end]
+            if pack_files.digest_of_points(points) != frame.digest:
+                raise ToolkitError(
+                    "the packed points are not those that were packed",
+                    path=pack_files.scene_folder(self.folders[frame.pack], frame.number),
+                    value=f"view {frame.view}",
+                    hint="delete the scene and its .json, run `std-train pack-grasps` again",
+                )
+
     def scene(self, index: int) -> str:
         """Name of a frame's scene; equal names are the same scene."""
         return self.frames[index].scene

@@ -15,6 +15,8 @@ from std_toolkit.io.images import write_png
 from std_toolkit.scanning.model.bake import Texture, vertex_colors
 from std_toolkit.scanning.photos.views import View
 
+SUFFIXES = ("obj", "mtl", "png", "glb", "ply")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scan:
@@ -43,6 +45,11 @@ class Scan:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
+def file_names(name: str) -> list[str]:
+    """Names of all files of a scan of this name."""
+    return [*(f"{name}.{s}" for s in SUFFIXES), "symmetry.json", "report.html", "scan.json"]
+
+
 def write_model(
     folder: Path, name: str, vertices: Array, faces: NDArray[np.int64], texture: Texture
 ) -> dict[str, Path]:
@@ -59,7 +66,7 @@ def write_model(
         Path by suffix.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    paths = {s: folder / f"{name}.{s}" for s in ("obj", "mtl", "png", "glb", "ply")}
+    paths = {s: folder / f"{name}.{s}" for s in SUFFIXES}
     write_png(paths["png"], texture.image)
     material = f"newmtl {name}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd {paths['png'].name}\n"
     write_bytes_atomic(paths["mtl"], material.encode())

@@ -135,3 +135,16 @@ def test_a_tuning_is_that_of_the_card() -> None:
             if values:
                 row = ", ".join(f"{name}={value}" for name, value in values.items())
                 assert f"| {field} | {row} |" in card, method
+
+
+def test_every_mesh_is_read_before_any_is_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bad = tmp_path / "meshes" / "a" / "model.obj", tmp_path / "meshes" / "b" / "model.obj"
+    for path, first in ((good, "0 0 0"), (bad, "nan 0 0")):
+        path.parent.mkdir(parents=True)
+        path.write_text(f"v {first}\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 2 3\nf 1 2 4\nf 1 3 4\n")
+    words = ["mine", "--meshes", str(tmp_path / "meshes"), "--out", str(tmp_path / "out")]
+    assert main(words) == 1
+    assert f"{bad}: the mesh holds vertices that are not finite" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "sets").exists()

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from benchmark.cli.train import main
 from benchmark.data.splits import get_split
 from benchmark.methods.registry import pose_methods, restorers
 from benchmark.metrics.protocols.protocol import get_protocol
@@ -145,7 +146,7 @@ def test_a_wrong_recipe_is_told_in_one_line(old: str, new: str, told: str, tmp_p
 def test_what_there_is_not(tmp_path: Path) -> None:
     with pytest.raises(ToolkitError, match=r"no such recipe \(got 'nope'\); one of main-comp"):
         load_recipe("nope")
-    with pytest.raises(ToolkitError, match="cannot read the file: No such file"):
+    with pytest.raises(ToolkitError, match="cannot read the TOML file: No such file"):
         load_recipe(str(tmp_path / "nope.toml"))
     with pytest.raises(ToolkitError, match=r"--scale: no such scale \(got 'huge'\); one of tiny"):
         get_scale("huge")
@@ -169,3 +170,24 @@ def test_the_guide_names_all_recipes_and_its_own_one_works(tmp_path: Path) -> No
     recipe = load_recipe(str(path))[1]
     assert recipe.variants["opaque"].set == "train-opaque"
     msgspec.convert(recipe.sets["train-opaque"].options, SimulationOptions)
+
+
+@pytest.mark.parametrize("more", [[], ["--allow-code"]])
+@pytest.mark.parametrize(
+    "line", ['baselines = ["{}:X"]', '[variants.two]\ntitle = "T"\nmethod = "{}:X"']
+)
+def test_a_recipe_runs_no_code_that_it_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], line: str
+) -> None:
+    helper = tmp_path / "helper.py"
+    helper.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nclass X: pass\n")
+    recipe = tmp_path / "mine.toml"
+    text = PLAIN + "\n" + line.format(helper)
+    if line.startswith("baselines"):
+        text = line.format(helper) + PLAIN
+    recipe.write_text(text)
+    words = ["recipe", str(recipe), "--plan", "--scale", "tiny", "--out", str(tmp_path / "out")]
+    main([*words, *more])
+    told = "".join(capsys.readouterr())
+    assert not (tmp_path / "ran").exists()
+    assert "names code, which is not loaded" in told

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -276,3 +277,120 @@ def test_std_bench_sends_data_without_ground_truth_here(tmp_path, capsys):
         told = capsys.readouterr().err
         assert told.count("\n") == 1 and "std-restore" in told and str(scene) in told
     assert not (tmp_path / "out").exists()
+
+
+def restored(folder, out, method="nearest", *more):
+    assert restore(folder, "--out", out, "--intrinsics", K, "--method", method, *more) == 0
+    return {path.name: path.read_bytes() for path in sorted((out / "depth").iterdir())}
+
+
+def test_a_restored_image_that_was_cut_is_made_anew(folder, tmp_path):
+    out = tmp_path / "out"
+    whole = restored(folder, out)
+    name = next(iter(whole))
+    (out / "depth" / name).write_bytes(whole[name][:100])
+    assert restored(folder, out) == whole
+
+
+def test_another_unit_or_camera_makes_the_images_again(folder, tmp_path):
+    out = tmp_path / "out"
+    restored(folder, out)
+    restored(folder, out, "nearest", "--depth-scale", 0.0005)
+    assert json.loads((out / "frames/0000.json").read_text())["unit"] == 0.0005
+
+
+def test_depth_is_not_written_through_a_link(folder, tmp_path, capsys):
+    out, outside = tmp_path / "out", tmp_path / "outside"
+    outside.mkdir()
+    restored(folder, out)
+    shutil.rmtree(out / "depth")
+    shutil.rmtree(out / "frames")
+    (out / "depth").symlink_to(outside)
+    assert restore(folder, "--out", out, "--intrinsics", K, "--method", "nearest") == 1
+    assert "symbolic link out" in capsys.readouterr().err
+    assert not list(outside.iterdir())
+
+
+ODD = """
+import numpy as np
+from benchmark.methods.protocol import Restored
+class Base:
+    input_size, needs_mask = None, False
+    def __init__(self, options): pass
+    def restore(self, views): return [self.answer(np.ones_like(v.depth)) for v in views]
+class Negative(Base):
+    def answer(self, one): return Restored(-one, None)
+class Nan(Base):
+    def answer(self, one): return Restored(one, np.nan * one)
+class Percent(Base):
+    def answer(self, one): return Restored(one, 90 * one)
+class Shape(Base):
+    def answer(self, one): return Restored(one, one[:3])
+class Lists(Base):
+    def answer(self, one): return Restored(one.tolist(), None)
+class Fails(Base):
+    def answer(self, one): raise RuntimeError("my own bug")
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("Negative", "there are negative ones and none above 0"),
+        ("Nan", "Restored.confidence: must be in [0, 1] (got 'nan to nan')"),
+        ("Percent", "must be in [0, 1] (got '90 to 90')"),
+        ("Shape", "Restored.confidence: the method was given a view"),
+        ("Lists", "odd.py: AttributeError: 'list' object has no attribute"),
+        ("Fails", "odd.py: line 19, answer: RuntimeError: my own bug; an error of the plug-in"),
+    ],
+)
+def test_an_odd_answer_is_refused(folder, tmp_path, capsys, kind, words):
+    (tmp_path / "odd.py").write_text(ODD)
+    method = f"{tmp_path / 'odd.py'}:{kind}"
+    assert restore(folder, "--out", tmp_path / "o", "--intrinsics", K, "--method", method) == 1
+    told = capsys.readouterr().err
+    assert words in told
+    assert "defect" not in told
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--depth-scale", 0), ("--depth-scale", "nan"), ("--depth-correction", 0)]
+)
+def test_a_scale_that_is_none_is_refused(folder, tmp_path, capsys, option, value):
+    words = (folder, "--out", tmp_path / "o", "--intrinsics", K, "--method", "nearest")
+    assert restore(*words, option, value) == 2
+    assert f"error: {option}: must be" in capsys.readouterr().err
+
+
+def test_a_network_without_end_is_given_up(folder, tmp_path, capsys):
+    onnx = pytest.importorskip("onnx")
+    make, T = onnx.helper, onnx.TensorProto
+    w, h = SIZE
+    info = make.make_tensor_value_info
+    images = [info("color", T.FLOAT, [1, 3, h, w]), info("depth", T.FLOAT, [1, 1, h, w])]
+    body = make.make_graph(
+        [make.make_node("Identity", ["c"], ["d"]), make.make_node("Identity", ["x"], ["y"])],
+        "body",
+        [info("i", T.INT64, []), info("c", T.BOOL, []), info("x", T.FLOAT, [1, 1, h, w])],
+        [info("d", T.BOOL, []), info("y", T.FLOAT, [1, 1, h, w])],
+    )
+    graph = make.make_graph(
+        [make.make_node("Loop", ["n", "t", "depth"], ["restored"], body=body)],
+        "graph",
+        images,
+        [info("restored", T.FLOAT, [1, 1, h, w])],
+        [make.make_tensor("n", T.INT64, [], [2**62]), make.make_tensor("t", T.BOOL, [], [True])],
+    )
+    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 17)], ir_version=8)
+    onnx.save(model, tmp_path / "loop.onnx")
+    words = (
+        folder,
+        "--out",
+        tmp_path / "o",
+        "--intrinsics",
+        K,
+        "--weights",
+        tmp_path / "loop.onnx",
+    )
+    assert restore(*words, "--method", "onnx", "--set", "timeout_s=0.5") == 1
+    assert "took longer than 0.5 s for a frame" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -39,3 +40,29 @@ def test_topics_of_a_folder_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     words = [str(tmp_path), "--color", "/a", "--depth", "/b", "--out", str(tmp_path / "o")]
     assert main([*words, "--method", "nearest"]) == 1
     assert "either SOURCES or --color" in capsys.readouterr().err
+
+
+def test_another_recording_of_the_same_name_is_read_again(tmp_path: Path) -> None:
+    out, bag = tmp_path / "restored", tmp_path / "bag.mcap"
+    words = [str(bag), "--method", "nearest", "--out", str(out), "--engine", "serial"]
+
+    def run(frames: int, *more: str) -> dict[str, bytes]:
+        folder = write_recording(tmp_path / f"rec{frames}", frames=frames)
+        shutil.copy(next(folder.glob("*.mcap")), bag)
+        shutil.rmtree(folder)
+        assert main([*words, *more]) == 0
+        return {p.name: p.read_bytes() for p in (out / "depth").iterdir()}
+
+    first, second = run(2), run(3)
+    assert len(first) == 2 and len(second) == 3
+    scene = out / "recordings" / "bag"
+    kept = (scene / "scene.json").stat().st_mtime_ns
+    assert run(3) == second
+    assert (scene / "scene.json").stat().st_mtime_ns == kept  # the same is not read again
+    depth = next((scene / "depth").iterdir())
+    whole = depth.read_bytes()
+    depth.write_bytes(whole[:50])
+    assert run(3) == second
+    assert depth.read_bytes() == whole
+    run(3, "--depth-correction", "0.9")
+    assert '"depth_correction": 0.9' in (scene / "scene.json").read_text()

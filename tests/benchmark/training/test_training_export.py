@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -105,3 +106,55 @@ def test_a_training_without_weights_is_refused(run: Path, tmp_path: Path) -> Non
     with pytest.raises(ToolkitError, match="cannot read the document"):
         export_weights(tmp_path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("field", ["method", "preset"])
+@pytest.mark.parametrize("value", ["../../outside/evil", "/tmp/evil", "a/b", "", "a\0b"])
+def test_a_name_that_leads_out_is_refused(
+    run: Path, tmp_path: Path, field: str, value: str
+) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    config.write_text(json.dumps(json.loads(config.read_text()) | {field: value}))
+    with pytest.raises(ToolkitError, match=rf"config\.json: {field}: is no name"):
+        export_weights(tmp_path / "run", tmp_path / "x" / "out")
+    assert not (tmp_path / "x").exists()
+
+
+def test_weights_of_a_file_of_the_user_are_named_without_its_path(
+    run: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    method = {"method": "../my methods.py:Net"}
+    config.write_text(json.dumps(json.loads(config.read_text()) | method))
+    assert export_weights(tmp_path / "run", tmp_path / "out").name == "Net-compact.safetensors"
+    assert {p.parent for p in tmp_path.rglob("Net*")} == {tmp_path / "out"}
+
+
+def test_a_card_of_the_user_is_not_replaced(run: Path, tmp_path: Path) -> None:
+    card = tmp_path / "dfnet-compact.md"
+    card.write_text("mine")
+    with pytest.raises(ToolkitError, match=r"dfnet-compact\.md: is not a file of this command"):
+        export_weights(run, tmp_path)
+    assert card.read_text() == "mine"
+    card.unlink()
+    export_weights(run, tmp_path)
+    export_weights(run, tmp_path)  # its own files are
+    card.write_text("changed")
+    with pytest.raises(ToolkitError, match="was changed since it was written"):
+        export_weights(run, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["config.json", "run.json", "best.json", "steps.csv"])
+def test_a_damaged_training_is_one_line(run: Path, tmp_path: Path, name: str) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    whole = (run / name).read_bytes()
+    for text in (whole[: len(whole) // 2], b"{}", b"[]", b"null", b"\xff", b"step\n1e999\n"):
+        (tmp_path / "run" / name).write_bytes(text)
+        try:
+            export_weights(tmp_path / "run", tmp_path / "out")
+        except ToolkitError as error:
+            assert name in str(error)
+        else:  # the log may be short
+            assert name == "steps.csv"

@@ -207,3 +207,34 @@ def test_worker_processes_write_the_same_files(data, tmp_path):
     pack_split(tmp_path / "many", SPLIT, data, options, JobOptions(workers=2, progress=False))
     for path in alone.glob("shard-*"):
         assert path.read_bytes() == (tmp_path / "many" / path.name).read_bytes()
+
+
+def test_a_pack_with_zeroed_bytes_is_refused_and_packed_again(data, tmp_path, capsys):
+    folder = packed(tmp_path / "p", data)
+    shard = folder / "shard-00001.npy"
+    whole = shard.read_bytes()
+    shard.write_bytes(whole[:-500] + bytes(500))
+    frames = PackedFrames([folder])
+    with pytest.raises(ToolkitError, match=r"shard-00001\.npy: the packed frame is not the one"):
+        frames.check(range(len(frames)))
+    words = ["--method", "dfnet", "--data", str(folder), "--out", str(tmp_path / "run")]
+    assert main([*words, "--steps", "2", "--accelerator", "cpu"]) == 1
+    assert "size" in capsys.readouterr().err  # of the network; damage is looked for behind it
+    packed(folder, data)
+    assert shard.read_bytes() == whole
+    frames = PackedFrames([folder])
+    frames.check(range(len(frames)))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("pack.json", '{"split": 3}', "pack.json"),
+        ("shard-00000.json", '{"scenes":["a"],"names":[],"digests":[],"failed":{}}', "lengths"),
+    ],
+)
+def test_a_damaged_index_is_one_line(data, tmp_path, name, text, words):
+    folder = packed(tmp_path / "p", data)
+    (folder / name).write_text(text)
+    with pytest.raises(ToolkitError, match=words):
+        PackedFrames([folder])

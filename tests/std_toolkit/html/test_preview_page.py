@@ -33,3 +33,14 @@ def test_a_rebound_name_gets_no_picture() -> None:
         with pytest.raises(urllib.error.HTTPError) as refused:
             asked(page, "preview.jpg", Host="evil.example:80")
     assert refused.value.code == 403
+
+
+def test_a_token_is_asked_for() -> None:
+    with PreviewPage(0, token="s3cret") as page:
+        page.show(b"picture")
+        for path in ("", "preview.jpg", "?token=", "preview.jpg?token=other"):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                asked(page, path)
+            assert refused.value.code == 403
+        assert asked(page, "preview.jpg?t=1&token=s3cret")[0] == b"picture"
+        assert b"<script>" in asked(page, "?token=s3cret")[0]

@@ -16,13 +16,14 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import read_color, write_color, write_png
 from std_toolkit.jobs import JobOptions
+from std_toolkit.jobs.door import output
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.scanning import scan_step
 from std_toolkit.scanning.board.board_adjustment import adjust, build_model
 from std_toolkit.scanning.board.board_photos import board_pose, calibrate, check_boards
 from std_toolkit.scanning.masks import object_masks
-from std_toolkit.scanning.options import ScanOptions
+from std_toolkit.scanning.options import MODEL_FOLDER, ScanOptions
 from std_toolkit.scanning.photos.photos import blurred_photos
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views, look_at
 
@@ -245,3 +246,37 @@ def test_a_photo_replaced_by_an_older_file_is_reduced_again(tmp_path: Path) -> N
     os.utime(folder / "3.png", (0, 0))
     found = scan_step.photo_files.find_photos(folder, tmp_path / "work", longest=32)
     assert (read_color(found.used[3]) == 200).all()
+
+
+def test_files_of_the_user_are_not_replaced(tmp_path: Path) -> None:
+    write_photos(tmp_path / "photos")
+    out = tmp_path / "ball"
+    out.mkdir()
+    for name in ("report.html", "ball.obj"):
+        (out / name).write_text("mine")
+        with pytest.raises(ToolkitError, match="files that are not of this command"):
+            scan_step.scan(options_for(tmp_path))
+        assert [p.name for p in out.iterdir()] == [name]
+        (out / name).unlink()
+    # Within a folder that a scan began.
+    with output(out, MODEL_FOLDER, "std-scan photos"):
+        (out / ".scan").mkdir()
+    (out / "ball.obj").write_text("mine")
+    with pytest.raises(ToolkitError, match=r"ball\.obj: is not a file of this command"):
+        scan_step.scan(options_for(tmp_path))
+    assert (out / "ball.obj").read_text() == "mine"
+
+
+@pytest.mark.parametrize("option", ["pick", "box"])
+def test_an_object_is_chosen_on_a_board_alone(tmp_path: Path, option: str) -> None:
+    with pytest.raises(ToolkitError, match=f"--{option}: chooses one of several objects"):
+        options_for(tmp_path, **{option: "0.png:3,4"})
+
+
+def test_masks_of_another_shape_are_refused(tmp_path: Path) -> None:
+    write_photos(tmp_path / "photos")
+    (tmp_path / "masks").mkdir()
+    photo = sorted((tmp_path / "photos").iterdir())[0]
+    write_png(tmp_path / "masks" / f"{photo.stem}.png", np.full((160, 120), 255, np.uint8))
+    with pytest.raises(ToolkitError, match=r"another shape than its photo, which is 160x120"):
+        scan_step.scan(options_for(tmp_path, masks=tmp_path / "masks"))

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.door import Writes
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
 
@@ -50,7 +51,7 @@ class PriorsCommand(PriorOptions):
     `std-train --set priors=FILE` trains with them; trained weights hold them.
     """
 
-    out: Path = field(metadata={"option": "out"})
+    out: Path = field(metadata={"option": "out", "writes": Writes("file")})
     """file to write, *.safetensors"""
 
     def __post_init__(self) -> None:

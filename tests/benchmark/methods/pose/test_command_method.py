@@ -142,3 +142,27 @@ def test_rows_of_raw_and_true_depth(
     assert names == {(f"command.{Path(sys.executable).name}", d) for d in ("raw", "gt")}
     assert main([*words, "--no-gallery", "--label", "centre"]) == 0
     assert "centre" in capsys.readouterr().out
+
+
+def test_a_program_ends_with_all_that_it_started(data: Path, tmp_path: Path) -> None:
+    file = tmp_path / "child"
+    path = tmp_path / "starts.py"
+    path.write_text(
+        "import subprocess, sys, time\n"
+        "child = subprocess.Popen(['sleep', '300'])\n"
+        f"open({str(file)!r}, 'w').write(str(child.pid))\n"
+        "sys.stdout.write('x' * 10**7)\n"  # a pipe would be full
+        "time.sleep(300)\n"
+    )
+    with pytest.raises(ToolkitError, match="took longer than 2 s"):
+        command(sys.executable, path, "{folder}", data=data, timeout_s=2).estimate([view(0.5)])
+    status = Path(f"/proc/{file.read_text()}/status")
+    assert not status.exists() or "State:\tZ" in status.read_text()
+
+
+def test_a_container_is_named(data: Path, tmp_path: Path) -> None:
+    docker = tmp_path / "docker"
+    docker.write_text("#!/bin/sh\nsleep 60\n")
+    docker.chmod(0o755)
+    with pytest.raises(ToolkitError, match=f"its container may still run: see `{docker} ps`"):
+        command(docker, "run", "{folder}", data=data, timeout_s=1).estimate([view(0.5)])
