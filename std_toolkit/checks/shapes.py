@@ -10,7 +10,8 @@ import numpy as np
 
 from std_toolkit.arrays import Array
 from std_toolkit.checks.gates.gate import REFUSED
-from std_toolkit.checks.gates.hypotheses import source, weigh
+from std_toolkit.checks.gates.hypotheses import weigh
+from std_toolkit.checks.gates.located import located_by
 from std_toolkit.checks.gates.motion import size_error
 from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.checks.measure.object_motion import ConfirmationSettings
@@ -21,7 +22,7 @@ from std_toolkit.scene import Frame, Scene
 
 # Faults that are tried, in mm and degrees, and the halvings of that range: 0.25 mm.
 _LARGEST, _HALVINGS = 64.0, 8
-_SOURCES = ("motion_mm", "texture_mm")
+_SOURCES = ("motion_mm", "texture_mm", "standing_mm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ def find_shapes(
             continue
         if mesh_problem(scene, item.model) is not None:
             continue
-        at = source(item.entry("pose_mm"))
+        at = located_by(item.entry("pose_mm"))
         motion = np.zeros(6) if at is None else at.motion
         fault_mm, fault_deg = smallest_faults(item, options)
         found[item.object] = ShapeFinding(
@@ -98,7 +99,7 @@ def smallest_faults(item: ObjectCheck, options: CheckOptions) -> tuple[float | N
     The evidence on the object stays as it is, and its label moves along the direction in which
     the evidence is weakest. None where nothing up to 64 mm or degrees is refused.
     """
-    at = source(item.entry("pose_mm"))
+    at = located_by(item.entry("pose_mm"))
     if at is None:
         return None, None
     found: list[float | None] = []

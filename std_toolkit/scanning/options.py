@@ -93,8 +93,9 @@ class ScanOptions:
                 "the second folder is the first", value=self.flipped,
                 hint="give the photos of the object turned over",
             )  # fmt: skip
-        for option, given in (("--revolve", self.revolve), ("--cameras", self.known.cameras)):
-            if given:
+        alone = {"--revolve": self.revolve, "--cameras": self.known.cameras is not None}
+        for option, is_given in alone.items():
+            if is_given:
                 raise ToolkitError(
                     "takes one folder of photos", field=option,
                     hint="leave the second folder out",

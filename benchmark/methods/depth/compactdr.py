@@ -176,10 +176,10 @@ class CompactDRNetwork(nn.Module):
         top = both[-1]
         # What the image is like as a whole.
         features = top + self.around(top.mean(dim=(2, 3), keepdim=True))
-        for level in reversed(range(len(self.up))):
-            larger = _enlarged(features, both[level])
-            features = self.up[level](torch.cat([larger, both[level]], dim=1))
-            features = features + self.refine[level](features)
+        for number in reversed(range(len(self.up))):
+            larger = _enlarged(features, both[number])
+            features = self.up[number](torch.cat([larger, both[number]], dim=1))
+            features = features + self.refine[number](features)
         return features
 
     def _answer(
