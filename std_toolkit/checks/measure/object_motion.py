@@ -55,8 +55,9 @@ class ConfirmationSettings(Settings):
     )
     """the same for materials whose contour is not disturbed by reflections"""
     size_std: Mapping[str, float] = limit(
-        {"specular": 0.014, "transparent": 0.008},
-        source="reflections and refraction move the edges of contours",
+        {"specular": 0.027, "transparent": 0.008},
+        source="world seeds 400 to 519 of setting kinds: exact meshes of steel and glass are "
+        "measured with these errors",
     )
     """systematic part of the deviation of a size"""
     opaque_size_std: float = limit(0.004, source=NOT_RECORDED)
