@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -22,7 +22,7 @@ from std_toolkit.checks.measure.motion import (
 )
 from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
 from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
-from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_error
+from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_errors
 from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.options import CheckOptions
@@ -133,7 +133,7 @@ def _with_motion(
     symmetry = scene.objects.model(item.model).symmetry.symmetry()
     free = symmetry_motions(symmetry, T_world_obj, centre)
     equations = list(judged.values())
-    cameras = _seen_errors(scene, judged, centre)
+    cameras = seen_errors(scene, judged, centre)
     item = msgspec.structs.replace(
         item, frames=[_frame_row(row, rows.get(row.frame), free) for row in item.frames]
     )
@@ -204,19 +204,6 @@ def moved_item(
             *_support_values(support, at_label, shown),
         ]
     )
-
-
-def _seen_errors(scene: Scene, frames: Iterable[int], centre: Array) -> list[Array]:
-    """(6, 6) covariance by frame of the motion that the error of its camera pose looks like."""
-    stated = {p.frame: p.covariance for p in scene.poses.frames} if scene.poses else {}
-    found = []
-    for frame in frames:
-        T_world_cam, covariance = scene.T_world_cam(frame), stated.get(frame)
-        if T_world_cam is None or covariance is None:
-            found.append(np.zeros((6, 6)))
-        else:
-            found.append(seen_error(np.reshape(covariance, (6, 6)), T_world_cam, centre))
-    return found
 
 
 def _drift_values(object_id: int, observed: Sequence[FrameObservation]) -> list[Value]:
