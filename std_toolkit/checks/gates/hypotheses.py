@@ -150,13 +150,16 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     odds = best.weight / max(1 - best.weight, 1e-9)
     verdict, cause = _verdict(total, best.at, scatter, options)
     misled = any(s.explanation == "misled" for s in sources)
-    if verdict == "doubtful" and misled and total >= limits.misled:
+    differing = _differing(sources, best.name)
+    # Where a contour that may be misled contradicts the support, neither is believed alone.
+    likely = verdict == "doubtful" and total >= limits.misled
+    if misled and (likely or (verdict == "fits" and differing)):
         verdict, cause = "unknown", "misled"
     told = best.name in ("shape", "texture") and odds >= limits.noted_odds
     if verdict == "fits" and told and _is_noted(apart):
         cause = best.name
     said_by = [s.name for s in sources if not s.explanation or s.explanation != best.name]
-    reason = _reason(verdict, cause, best.at, apart, said_by) + _differing(sources, best.name)
+    reason = _reason(verdict, cause, best.at, apart, said_by) + differing
     return Weighed(verdict, total, mm, deg, cause, reason, best.at, apart)
 
 

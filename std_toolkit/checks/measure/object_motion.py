@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -22,7 +22,7 @@ from std_toolkit.checks.measure.motion import (
 )
 from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
 from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
-from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_error
+from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_errors
 from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.options import CheckOptions
@@ -55,8 +55,9 @@ class ConfirmationSettings(Settings):
     )
     """the same for materials whose contour is not disturbed by reflections"""
     size_std: Mapping[str, float] = limit(
-        {"specular": 0.014, "transparent": 0.008},
-        source="reflections and refraction move the edges of contours",
+        {"specular": 0.027, "transparent": 0.008},
+        source="world seeds 400 to 519 of setting kinds: exact meshes of steel and glass are "
+        "measured with these errors",
     )
     """systematic part of the deviation of a size"""
     opaque_size_std: float = limit(0.004, source=NOT_RECORDED)
@@ -132,7 +133,7 @@ def _with_motion(
     symmetry = scene.objects.model(item.model).symmetry.symmetry()
     free = symmetry_motions(symmetry, T_world_obj, centre)
     equations = list(judged.values())
-    cameras = _seen_errors(scene, judged, centre)
+    cameras = seen_errors(scene, judged, centre)
     item = msgspec.structs.replace(
         item, frames=[_frame_row(row, rows.get(row.frame), free) for row in item.frames]
     )
@@ -203,19 +204,6 @@ def moved_item(
             *_support_values(support, at_label, shown),
         ]
     )
-
-
-def _seen_errors(scene: Scene, frames: Iterable[int], centre: Array) -> list[Array]:
-    """(6, 6) covariance by frame of the motion that the error of its camera pose looks like."""
-    stated = {p.frame: p.covariance for p in scene.poses.frames} if scene.poses else {}
-    found = []
-    for frame in frames:
-        T_world_cam, covariance = scene.T_world_cam(frame), stated.get(frame)
-        if T_world_cam is None or covariance is None:
-            found.append(np.zeros((6, 6)))
-        else:
-            found.append(seen_error(np.reshape(covariance, (6, 6)), T_world_cam, centre))
-    return found
 
 
 def _drift_values(object_id: int, observed: Sequence[FrameObservation]) -> list[Value]:

@@ -7,7 +7,7 @@ for together with the motion. The error of a camera pose moves all edges of its 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.motion import Beside
 from std_toolkit.geometry import SE3
+from std_toolkit.scene import Scene
 from std_toolkit.settings import Settings, limit
 
 # Sine of the angle below the horizon from which an edge faces down, in part and entirely.
@@ -154,3 +155,16 @@ def seen_error(covariance: Array, T_world_cam: SE3, centre: Array) -> Array:
     R = T_world_cam.R
     moved = np.block([[R, -cross @ R], [np.zeros((3, 3)), R]])
     return np.asarray(moved @ covariance @ moved.T)
+
+
+def seen_errors(scene: Scene, frames: Iterable[int], centre: Array) -> list[Array]:
+    """(6, 6) covariance by frame of the motion that the error of its camera pose looks like."""
+    stated = {p.frame: p.covariance for p in scene.poses.frames} if scene.poses else {}
+    found = []
+    for frame in frames:
+        T_world_cam, covariance = scene.T_world_cam(frame), stated.get(frame)
+        if T_world_cam is None or covariance is None:
+            found.append(np.zeros((6, 6)))
+        else:
+            found.append(seen_error(np.reshape(covariance, (6, 6)), T_world_cam, centre))
+    return found

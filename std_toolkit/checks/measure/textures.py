@@ -10,7 +10,9 @@ import numpy as np
 from std_toolkit.checks import result
 from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
+from std_toolkit.checks.measure.shared_errors import seen_errors
 from std_toolkit.geometry import SE3
+from std_toolkit.labels.refine.problem import RefineObject
 from std_toolkit.labels.refine_step import scene_object, texture_surface
 from std_toolkit.labels.texture.comparison import (
     TextureComparison,
@@ -76,7 +78,10 @@ def compare_textures(
             surface = textured.texture
             windows = None if surface is None else Windows(views, textured, surface, others)
             comparison = compare_texture(views, textured, others, windows=windows)
-            found[i] = TextureFinding(comparison, _motion_of(windows, comparison))
+            motion = _motion_of(windows, comparison)
+            if motion is not None:
+                motion = with_cameras(scene, obj, motion)
+            found[i] = TextureFinding(comparison, motion)
     return found
 
 
@@ -92,6 +97,15 @@ def _motion_of(windows: Windows | None, found: TextureComparison) -> TextureMoti
     parts = [(views.frames[k], windows.cut[k]) for k in chosen if k in windows.cut]
     free = symmetry_motions(obj.symmetry, obj.T_world_obj, centre)
     return texture_motion(parts, windows.surface, obj, free=free)
+
+
+def with_cameras(scene: Scene, obj: RefineObject, motion: TextureMotion) -> TextureMotion:
+    """The motion with the errors of the camera poses, each frame counting alike."""
+    errors = seen_errors(scene, motion.frames, obj.T_world_obj @ obj.centre)
+    added = np.sum(errors, axis=0) / len(errors) ** 2
+    # What a symmetry leaves open stays open.
+    kept = motion.covariance @ np.linalg.pinv(motion.covariance, rcond=1e-6, hermitian=True)
+    return replace(motion, covariance=motion.covariance + kept @ added @ kept.T)
 
 
 def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> result.ObjectCheck:

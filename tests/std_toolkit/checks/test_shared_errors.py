@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from std_toolkit.checks.measure.motion import MotionEquations, pooled_support
 from std_toolkit.checks.measure.motion_solver import Motion, solve_motion
 from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_error
+from std_toolkit.checks.measure.textures import with_cameras
 from std_toolkit.geometry import SE3, so3_exp
+from std_toolkit.labels.texture.motion import TextureMotion
 
 CENTRE = np.array([0.1, -0.05, 0.06])
 RADIUS_M, FOCAL_PX = 0.06, 700.0
@@ -125,3 +128,21 @@ def test_turns_of_the_world_turn_the_facing() -> None:
     turned[:, :3] = jacobian[:, :3] @ R.T
     other = SharedErrors(up=R @ [0.0, 0.0, 1.0])
     np.testing.assert_allclose(other.facing_down(turned), SharedErrors().facing_down(jacobian))
+
+
+def test_errors_of_cameras_widen_the_motion_of_a_texture() -> None:
+    poses = {k: camera(a) for k, a in enumerate(np.linspace(-0.7, 0.7, 4))}
+    stated = np.diag([1e-6] * 3 + [0.0] * 3)
+    frames = [SimpleNamespace(frame=k, covariance=stated.ravel().tolist()) for k in poses]
+    scene = SimpleNamespace(poses=SimpleNamespace(frames=frames), T_world_cam=poses.get)
+    obj = SimpleNamespace(T_world_obj=SE3(np.eye(3), CENTRE), centre=np.zeros(3))
+    # A turn about z is left open by a symmetry.
+    known = np.diag([1e-8, 1e-8, 1e-8, 1e-5, 1e-5, 0.0])
+    motion = TextureMotion(np.zeros(6), known, 0.9, tuple(poses))
+    found = with_cameras(scene, obj, motion)  # type: ignore[arg-type]
+    # 1 mm in each of four frames.
+    np.testing.assert_allclose(np.diag(found.covariance)[:3], 1e-8 + 1e-6 / 4, rtol=1e-6)
+    np.testing.assert_allclose(found.covariance[5], 0, atol=1e-15)
+    frames[0].covariance = None
+    less = with_cameras(scene, obj, motion)  # type: ignore[arg-type]
+    assert less.covariance[0, 0] < found.covariance[0, 0]
