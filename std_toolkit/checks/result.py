@@ -366,7 +366,7 @@ class CheckReport(Document, frozen=True, kw_only=True):
         missing: what the scene lacks, one sentence each.
         limits: the options of the check, and the limits of `--settings` that differ from the
             defaults.
-        detectability: smallest faults that the gates catch; null without `--inject`.
+        detectability: smallest faults that the check catches; null without `--inject`.
     """
 
     format: Literal["std-toolkit-check"] = "std-toolkit-check"
