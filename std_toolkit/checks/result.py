@@ -59,8 +59,7 @@ class GateFinding(Document, frozen=True, kw_only=True):
         gate: its key.
         value: of the object, in the unit of the gate; null if it was not measured.
         verdict: "unknown" if what was not measured leaves it open.
-        exempt: why the object cannot fail the gate of the scene, or counts less than what was
-            measured, or "".
+        exempt: why it cannot fail the gate, or counts less than what was measured, or "".
         detail: what was found in words, or "".
     """
 
@@ -202,9 +201,8 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             size_m: diagonal of the bounding box of the mesh.
             overlap_mm: how far the mesh reaches into that of the object in its text.
             symmetry_mm: how far a declared turn moves the surface of the mesh.
-            shape_mm: largest difference of the object's surface from that of the mesh, positive
-            outside; the text says where. smallest_fault_mm, smallest_fault_deg: error of the label
-            from which the judge would refuse it, along the weakest direction.
+            shape_mm: largest difference in shape from the mesh; the text says where.
+            smallest_fault_mm, smallest_fault_deg: error from which a label would be refused.
             texture: agreement of the texture at the label, -1..1; its text is "fits", "turned" (a
             turn fits better), "undecided", "ambiguous" (no texture, and a turn has the same
             silhouette) or "other" (the images do not show this texture). texture_says: the same
@@ -368,7 +366,7 @@ class CheckReport(Document, frozen=True, kw_only=True):
         missing: what the scene lacks, one sentence each.
         limits: the options of the check, and the limits of `--settings` that differ from the
             defaults.
-        detectability: smallest faults that the gates catch; null without `--inject`.
+        detectability: smallest faults that the check catches; null without `--inject`.
     """
 
     format: Literal["std-toolkit-check"] = "std-toolkit-check"

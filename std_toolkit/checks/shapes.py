@@ -11,7 +11,6 @@ import numpy as np
 from std_toolkit.arrays import Array
 from std_toolkit.checks.gates.gate import REFUSED
 from std_toolkit.checks.gates.hypotheses import weigh
-from std_toolkit.checks.gates.located import located_by
 from std_toolkit.checks.gates.motion import size_error
 from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.checks.measure.object_motion import ConfirmationSettings
@@ -22,7 +21,6 @@ from std_toolkit.scene import Frame, Scene
 
 # Faults that are tried, in mm and degrees, and the halvings of that range: 0.25 mm.
 _LARGEST, _HALVINGS = 64.0, 8
-_SOURCES = ("motion_mm", "texture_mm", "standing_mm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +62,8 @@ def find_shapes(
             continue
         if mesh_problem(scene, item.model) is not None:
             continue
-        at = located_by(item.entry("pose_mm"))
-        motion = np.zeros(6) if at is None else at.motion
+        pose = item.entry("pose_mm")
+        motion = np.zeros(6) if pose is None else np.asarray(pose.motion)
         fault_mm, fault_deg = smallest_faults(item, options)
         found[item.object] = ShapeFinding(
             map_shape(scene, item.object, motion, frames, options),
@@ -99,12 +97,13 @@ def smallest_faults(item: ObjectCheck, options: CheckOptions) -> tuple[float | N
     The evidence on the object stays as it is, and its label moves along the direction in which
     the evidence is weakest. None where nothing up to 64 mm or degrees is refused.
     """
-    at = located_by(item.entry("pose_mm"))
-    if at is None:
+    pose = item.entry("pose_mm")
+    if pose is None or pose.covariance is None:
         return None, None
+    covariance = np.reshape(pose.covariance, (6, 6))
     found: list[float | None] = []
     for part in (slice(3), slice(3, 6)):
-        block = at.covariance[part, part]
+        block = covariance[part, part]
         values, axes = np.linalg.eigh((block + block.T) / 2)
         direction = np.zeros(6)
         direction[part] = axes[:, -1]
@@ -128,7 +127,7 @@ def _smallest(item: ObjectCheck, direction: Array, options: CheckOptions) -> flo
 def _is_refused(item: ObjectCheck, fault: Array, options: CheckOptions) -> bool:
     """Whether a label that is off by a motion, in both directions, would be refused."""
     for sign in (1, -1):
-        moved = [_off(v, sign * fault) if v.key in _SOURCES else v for v in item.values]
+        moved = [_off(value, sign * fault) for value in item.values]
         weighed = weigh(msgspec.structs.replace(item, values=moved), options)
         if weighed is None or weighed.verdict not in REFUSED:
             return False
@@ -136,7 +135,8 @@ def _is_refused(item: ObjectCheck, fault: Array, options: CheckOptions) -> bool:
 
 
 def _off(value: Value, fault: Array) -> Value:
-    if value.motion is None:
+    # Every source that says where the object is, with its covariance.
+    if value.motion is None or value.covariance is None or value.source == "judge":
         return value
     motion = np.asarray(value.motion) + fault
     return msgspec.structs.replace(

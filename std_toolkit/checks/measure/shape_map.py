@@ -30,8 +30,8 @@ from std_toolkit.scene.memory_scene import MemoryScene
 from std_toolkit.scene.model import pose_from_list
 from std_toolkit.settings import Settings, limit
 
-# Size of the triangles between places, in parts of the object's size; faces of a scanned mesh.
-_EDGE, _MOST_FACES = 0.07, 3000
+# Size of the triangles between places, in parts of the object's size.
+_EDGE = 0.07
 # Step of the distances that are compared, in mm, and edges of a contour point.
 _STEP_MM, _EDGES = 0.1, 4
 
@@ -42,6 +42,8 @@ class ShapeMapSettings(Settings):
 
     most_frames: int = limit(24, source="all sides of a recording around an object")
     """evenly spaced frames"""
+    most_faces: int = limit(3000, source="the page of the report stays small")
+    """faces of the mesh, before large ones are divided"""
     reach: float = limit(0.08, source="objects of other production runs differ by less")
     """largest difference, in parts of the object's size"""
     around: float = limit(0.06, source="a place has some dozens of contour points")
@@ -176,7 +178,8 @@ def _contour_edges(
 
 def _places(mesh: trimesh.Trimesh, size_m: float) -> tuple[Array, Array]:
     """Vertices and faces of the mesh with triangles of about one size."""
-    even = decimate_mesh(mesh, _MOST_FACES) if len(mesh.faces) > _MOST_FACES else mesh
+    most = ShapeMapSettings.current().most_faces
+    even = decimate_mesh(mesh, most) if len(mesh.faces) > most else mesh
     vertices, faces = trimesh.remesh.subdivide_to_size(
         np.asarray(even.vertices), np.asarray(even.faces), max_edge=_EDGE * size_m
     )

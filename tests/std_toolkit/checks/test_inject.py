@@ -1,4 +1,4 @@
-"""Known faults in a scene: what they change, and the smallest ones that the gates catch."""
+"""Known faults in a scene: what they change, and the smallest ones that the check catches."""
 
 from __future__ import annotations
 
