@@ -47,6 +47,10 @@ class DepthSurveySettings(Settings):
     """a farther median means another unit, where the unit is guessed"""
     farthest_m: float = limit(10.0, unit="m", source="the range of RGB-D sensors")
     """the same where the format of the recording has the unit"""
+    possible_m: tuple[float, float] = limit(
+        (0.01, 30.0), unit="m", source="no RGB-D sensor has a median outside this range"
+    )
+    """a median outside this range is refused for a unit that the user states, too"""
 
 
 class GuessedUnit(ToolkitError):
@@ -288,8 +292,11 @@ def _checked_median(
         return median
     is_float = all(v.dtype.kind == "f" for _, v in chosen)
     unit = missing.float_unit if is_float else (missing.unit or 1.0)
-    if origin == "flag" and inside.size:
+    low, high = limits.possible_m
+    if origin == "flag" and inside.size and low <= median <= high:
         return median
+    if origin == "flag" and inside.size:
+        raise unit_error(median, unit, where, guessed=False, is_float=is_float)
     if origin == "flag":
         fitting = " or ".join(f"{s:g}" for s in _fitting(median, unit))
         raise ToolkitError(
