@@ -12,6 +12,7 @@
 - rosbags unpacks whatever a recording claims; see `std_toolkit.io.bounded_bags`.
 """
 
+import importlib
 import os
 import signal
 import sys
@@ -39,6 +40,8 @@ TAKES_SIGNALS = frozenset({"pycolmap", "pycolmap._core"})
 UNPACKS = frozenset(
     {"rosbags.rosbag1.reader", "rosbags.rosbag2.reader", "rosbags.rosbag2.storage_mcap"}
 )
+
+_BOUND = "std_toolkit.io.bounded_bags:bound"
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -118,9 +121,8 @@ class _Bounding(_Wrapped):
 
 
 def _bound(module: ModuleType) -> None:
-    from std_toolkit.io.bounded_bags import bound
-
-    bound(module)
+    where, _, name = _BOUND.partition(":")
+    getattr(importlib.import_module(where), name)(module)
 
 
 class _Waiting(_Wrapped):

@@ -152,19 +152,15 @@ def _numbers(value: Any) -> Iterator[tuple[tuple[str, ...], float]]:
         yield (), float(value)
 
 
-def read_settings(path: Path) -> tuple[Settings, ...]:
-    """Read a TOML file of limits: a table for each group, a key for each limit.
+def settings_of(tables: Mapping[str, Any], path: Path) -> tuple[Settings, ...]:
+    """Limits from the tables of a file: a table for each group, a key for each limit.
+
+    Args:
+        path: of the file, for errors.
 
     Raises:
-        ToolkitError: the file cannot be read, a group or limit does not exist, or a value has
-            another type than the default.
+        ToolkitError: a group or limit does not exist, or a value has another type than the default.
     """
-    from std_toolkit.io.foreign_files import read_toml
-
-    try:
-        tables = read_toml(path, dict[str, Any])
-    except ToolkitError as error:
-        raise error.revised(hint="`std-curate settings` prints such a file") from error
     return tuple(_from_table(name, table, path) for name, table in _groups(tables))
 
 

@@ -153,7 +153,7 @@ def _scenes(top: Path) -> dict[str, Case]:
         solved.parent.mkdir(exist_ok=True)
         shutil.copytree(labelled, solved)
         run(program("std-curate", "--quiet", "run", solved, *options))
-    cameras = top / "cameras.json"
+    cameras = top / "known-cameras.json"
     if not cameras.exists():
         _write_cameras(recording, cameras)
     images = ("--color", recording / "color", "--depth", recording / "depth")

@@ -26,7 +26,7 @@ PACKAGES = ("std_toolkit", "annotator", "sensors", "benchmark")
 # tests/test_import_arrows.py tests the same order.
 ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
     "std_toolkit": (
-        ("arrays", "errors"),
+        ("arrays", "errors", "libraries"),
         ("log", "options", "plugins", "settings"),
         ("compiled",),
         ("",),

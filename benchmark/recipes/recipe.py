@@ -13,7 +13,6 @@ import msgspec
 
 from benchmark.training.options import Machine, Precision
 from std_toolkit.errors import ToolkitError, check_known, check_options
-from std_toolkit.io.foreign_files import read_toml
 from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
@@ -239,6 +238,8 @@ def load_recipe(name: str) -> tuple[str, Recipe]:
     Raises:
         ToolkitError: no such recipe, or a field of it is wrong.
     """
+    from std_toolkit.io.foreign_files import read_toml
+
     if name in recipe_names():
         return name, read_toml(FOLDER / f"{name}.toml", Recipe)
     path = Path(name)
@@ -315,6 +316,8 @@ class Scale(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 def scales() -> dict[str, Scale]:
     """All scales, the smallest first."""
+    from std_toolkit.io.foreign_files import read_toml
+
     return read_toml(_FILE, dict[str, Scale])
 
 

@@ -20,6 +20,7 @@ from std_toolkit.cli.command_options import (
     UsageError,
     parse_options,
     print_completion,
+    read_settings,
     values_of,
 )
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
@@ -143,7 +144,7 @@ class Program:
         from std_toolkit.jobs.door import opened
 
         if common.limits is not None:
-            from std_toolkit.settings import read_settings, use
+            from std_toolkit.settings import use
 
             try:
                 use(read_settings(common.limits))

@@ -115,6 +115,22 @@ def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -
         tyro.extras.subcommand_cli_from_dict(calls, prog=program, args=arguments, config=_markers())
 
 
+def read_settings(path: Path) -> tuple[Any, ...]:
+    """The limits in a TOML file, as `std-curate settings` prints them.
+
+    Raises:
+        ToolkitError: the file cannot be read, or what `settings_of` raises.
+    """
+    from std_toolkit.io.foreign_files import read_toml
+    from std_toolkit.settings import settings_of
+
+    try:
+        tables = read_toml(path, dict[str, Any])
+    except ToolkitError as error:
+        raise error.revised(hint="`std-curate settings` prints such a file") from error
+    return settings_of(tables, path)
+
+
 def values_of(options: Any) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """Title, value and metadata of each option; those of nested dataclasses as their own."""
     return ((o.title, o.default, o.metadata) for o in _options(type(options), options))

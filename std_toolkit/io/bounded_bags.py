@@ -6,6 +6,7 @@ A chunk of a few kilobytes can unpack to gigabytes, and `rosbags` unpacks chunks
 
 import bz2
 import io
+import sys
 from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 from typing import Any, BinaryIO
@@ -43,9 +44,8 @@ def _bz2() -> Any:
 
 
 def _lz4() -> Any:
-    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
-
-    return LZ4FrameDecompressor()
+    # rosbags brings and imports it.
+    return sys.modules["lz4.frame"].LZ4FrameDecompressor()
 
 
 def _zstd(module: ModuleType) -> Callable[[], Any] | None:

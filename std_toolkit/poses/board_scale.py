@@ -22,8 +22,6 @@ from std_toolkit.scene.model import ScaleEstimate
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 MAX_FRAMES = 60
-# No printed board has more; OpenCV takes memory for the square of their number.
-_MOST_SQUARES, _MOST_TAGS = 100, 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +32,10 @@ class BoardSettings(Settings):
     """a frame counts with at least this many corners of the board"""
     fewest_frames: int = limit(3, source=NOT_RECORDED)
     """a board gives a scale with at least this many frames"""
+    most_squares: int = limit(100, source="no printed board has more; memory grows by their square")
+    """squares of a ChArUco board along a side"""
+    most_tags: int = limit(10_000, source="no printed board has more")
+    """tags of a grid"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +91,9 @@ class Board:
         _dictionary(dictionary, path)
         tags = []
         ids = sorted((k for k in data if k.isascii() and k.isdecimal()), key=int)
-        if len(ids) > _MOST_TAGS:
-            raise ToolkitError(f"a board has at most {_MOST_TAGS} tags", path=path, value=len(ids))
+        most = BoardSettings.current().most_tags
+        if len(ids) > most:
+            raise ToolkitError(f"a board has at most {most} tags", path=path, value=len(ids))
         for key in ids:
             corners = _corners(data[key], path, key)
             tags.append((int(key), tuple((x, y, z) for x, y, z in corners.tolist())))
@@ -242,9 +245,10 @@ def _read_charuco(value: object, path: Path) -> Board:
             )
         numbers.append(float(number))
     nx, ny, square, marker = numbers
-    if max(nx, ny) > _MOST_SQUARES:
+    most = BoardSettings.current().most_squares
+    if max(nx, ny) > most:
         raise ToolkitError(
-            f"has at most {_MOST_SQUARES} x {_MOST_SQUARES} squares",
+            f"has at most {most} x {most} squares",
             path=path,
             field="charuco",
             value=numbers[:2],

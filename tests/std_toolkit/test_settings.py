@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from std_toolkit.cli.command_options import read_settings
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions, run_jobs
@@ -19,7 +20,6 @@ from std_toolkit.settings import (
     every_group,
     limit,
     override,
-    read_settings,
     settings_text,
 )
 

@@ -62,7 +62,7 @@ class OnnxNetwork:
             )
         config = configured(OnnxConfig(), options.settings)
         self.weights, self._timeout_s = options.weights, config.timeout_s
-        self._session = _session(options.weights, options.device, config.threads)
+        self._session, self._options = _session(options.weights, options.device, config.threads)
         self.input_size = _input_size(self._session, options.weights)
 
     def restore(self, views: Sequence[View]) -> list[Restored]:
@@ -101,9 +101,7 @@ class OnnxNetwork:
         Raises:
             ToolkitError: it fails, or takes longer than `timeout_s`.
         """
-        import onnxruntime
-
-        options = onnxruntime.RunOptions()
+        options = self._options()
         options.log_severity_level = 4  # a failure is reported below
         late = threading.Event()
 
@@ -129,7 +127,8 @@ class OnnxNetwork:
             timer.cancel()
 
 
-def _session(path: Path, device: str, threads: int | None) -> Any:
+def _session(path: Path, device: str, threads: int | None) -> tuple[Any, Any]:
+    """The session of a graph, and the class of the options of its runs."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -157,9 +156,10 @@ def _session(path: Path, device: str, threads: int | None) -> Any:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     settings = {"device_id": index} if index else {}
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=[(provider, settings)])
+        made = onnxruntime.InferenceSession(str(path), options, providers=[(provider, settings)])
     except Exception as error:  # the binding has an exception for every status
         raise ToolkitError(f"onnxruntime cannot load it: {error}", path=path) from error
+    return made, onnxruntime.RunOptions
 
 
 def _threads() -> int:

@@ -22,8 +22,6 @@ from std_toolkit.scanning.photos.views import View
 
 # Width of the rim of a mask that may lack a part of the object.
 _RIM_PX = 3
-# Of the ratio of sides: photos and masks may be reduced, which rounds.
-_OTHER_SHAPE = 0.02
 
 
 def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: int) -> list[View]:
@@ -106,7 +104,9 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
         if path.is_file():
             mask = read_mask(path)
             h, w = view.image.shape[:2]
-            if abs(mask.shape[1] * h / (mask.shape[0] * w) - 1) > _OTHER_SHAPE:
+            # Photos and masks may be reduced, which rounds each side to a pixel.
+            rounding = w + h + mask.shape[0] + mask.shape[1]
+            if abs(mask.shape[1] * h - mask.shape[0] * w) > rounding:
                 raise ToolkitError(
                     f"the mask has another shape than its photo, which is {w}x{h}", path=path,
                     value=f"{mask.shape[1]}x{mask.shape[0]}", hint="is it of another photo?",

@@ -18,7 +18,6 @@ from benchmark.recipes.recipe import (
     Scale,
     get_scale,
     load_recipe,
-    read_toml,
     recipe_names,
     scales,
 )
@@ -26,6 +25,7 @@ from benchmark.recipes.recipe_table import printed_rows, published_poses
 from benchmark.recipes.targets import find_targets
 from sensors.simulation.options import SimulationOptions
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.foreign_files import read_toml
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 PLAIN = """
