@@ -86,7 +86,8 @@ def _agreement(color: NDArray[np.uint8], depth: Floats, reach: int) -> tuple[Arr
     small = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
     if min(size) <= 2 * max(_BORDER, reach) or not (small > 0).any():
         return None
-    whole = cv2.medianBlur(np.asarray(fill_nearest(small, small == 0), np.float32), 5)
+    filled = np.asarray(fill_nearest(small, small == 0), np.float32)
+    whole = np.asarray(cv2.medianBlur(filled, 5), np.float32)
     steps = on_depth_step(whole)
     # The near side is where the object ends.
     steps &= whole <= 1.01 * cv2.erode(whole, np.ones((3, 3), np.uint8))

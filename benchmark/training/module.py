@@ -124,12 +124,11 @@ class RestorerTraining(pl.LightningModule):
         if config.object_dropout or config.clear_gone or config.clear_behind:
             from benchmark.training.augmentation import depth
 
-            maps = [inputs.batch[name] for name in ("true", "mask", "materials")]
+            true, mask, materials = (inputs.batch[n] for n in ("true", "mask", "materials"))
             seen_through = config.object_dropout or config.clear_behind
-            objects = maps[1] != BACKGROUND
-            scene = depth.without_objects(maps[0], objects) if seen_through else None
+            scene = depth.without_objects(true, mask != BACKGROUND) if seen_through else None
             if share := config.object_dropout:
-                changed = depth.drop_object_depth(inputs.depth, *maps, share, scene)
+                changed = depth.drop_object_depth(inputs.depth, true, mask, materials, share, scene)
                 inputs = inputs._replace(depth=changed)
             if config.clear_gone or config.clear_behind:
                 changed = depth.clear_depth(inputs, config.clear_gone, config.clear_behind, scene)
