@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.data.frame import BACKGROUND, DepthFrame, Material, Size, resize_nearest
+from benchmark.data.frame import BACKGROUND, DepthFrame, Material, Size, T, resize_nearest
 from benchmark.evaluation.frames import restore_views
 from benchmark.methods.depth.filling.filler import fill_nearest
 from benchmark.methods.depth.full_size import restorer_view, to_full_size
@@ -50,6 +50,11 @@ COLUMNS = (*harm.COLUMNS, *holes.COLUMNS, *COLORS, *trust.COLUMNS)
 NAMES = (*ALWAYS, *holes.NAMES, *(column.name for column in COLORS))
 
 
+def _at(image: NDArray[T], size: Size) -> NDArray[T]:
+    """An image at a size; the image itself if it has that size."""
+    return image if (image.shape[1], image.shape[0]) == size else resize_nearest(image, size)
+
+
 def seen_size(restorer: Restorer, frame: DepthFrame, protocol: Protocol) -> Size:
     """(width, height) of what a user sees.
 
@@ -79,7 +84,7 @@ def as_seen(
         return np.zeros_like(sensor)
     size = (sensor.shape[1], sensor.shape[0])
     if restorer.input_size is None:
-        found = resize_nearest(answer.depth, size)
+        found = _at(answer.depth, size)
         return np.where(np.isfinite(found) & (found > 0), found, 0).astype(np.float32)
     if (color.shape[1], color.shape[0]) != size:
         color = cv2.resize(color, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
@@ -109,7 +114,7 @@ def answer_figures(
     found = dict.fromkeys(ALWAYS, float("nan"))
     if not sensor.size:
         return found
-    measured = resize_nearest(sensor, seen_size(restorer, frame, protocol))
+    measured = _at(sensor, seen_size(restorer, frame, protocol))
     true, clear, objects = _truth(frame, measured.shape)
     seen = as_seen(restorer, measured, answer, frame.color)
     found |= harm.harm_by_region(seen, measured, true, clear, objects)
@@ -117,13 +122,13 @@ def answer_figures(
         return found
     size = (answer.depth.shape[1], answer.depth.shape[0])
     true, clear, objects = _truth(frame, answer.depth.shape)
-    glass = resize_nearest(frame.mask_of(Material.TRANSPARENT), size)
+    glass = _at(frame.mask_of(Material.TRANSPARENT), size)
     regions = {
         "glass": glass,
         "metal": clear & ~glass,
         "opaque": objects & ~clear,
         "background": ~objects,
-        "filled": (resize_nearest(sensor, size) == 0) & ~clear,
+        "filled": (_at(sensor, size) == 0) & ~clear,
     }
     return found | trust.trust_figures(answer.depth, answer.spread, true, regions)
 
@@ -131,9 +136,9 @@ def answer_figures(
 def _truth(frame: DepthFrame, shape: tuple[int, ...]) -> tuple[Floats, Mask, Mask]:
     """Truth, glass and metal, and all objects, at a size."""
     size = (shape[1], shape[0])
-    clear = resize_nearest(frame.mask_of(*HARD), size)
-    objects = resize_nearest(frame.mask, size) != BACKGROUND
-    return resize_nearest(frame.depth_true, size), clear, objects
+    clear = _at(frame.mask_of(*HARD), size)
+    objects = _at(frame.mask, size) != BACKGROUND
+    return _at(frame.depth_true, size), clear, objects
 
 
 def probe_holes(
@@ -153,7 +158,7 @@ def probe_holes(
     found = {index: dict.fromkeys(holes.NAMES, float("nan")) for index in frames}
     cuts = {}
     for index, frame in frames.items():
-        sensor = resize_nearest(frame.depth_raw, seen_size(restorer, frame, protocol))
+        sensor = _at(frame.depth_raw, seen_size(restorer, frame, protocol))
         true, clear, _ = _truth(frame, sensor.shape)
         cut = holes.cut_holes(sensor, frame.key, true=true, avoid=clear)
         if cut is not None:

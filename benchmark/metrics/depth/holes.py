@@ -31,7 +31,7 @@ class HoleSettings(Settings):
     """Holes that are cut, and depth that is taken for right without ground truth."""
 
     ellipses: int = limit(8, source="about 5 % of the pixels of an image")
-    """how many"""
+    """how many ellipses are cut into an image"""
     least_radius: float = limit(0.01, unit="of the width", source=_ORIGIN)
     """smallest half axis of an ellipse"""
     largest_radius: float = limit(0.10, unit="of the width", source=_ORIGIN)
