@@ -18,7 +18,6 @@ from std_toolkit.scene import Scene
 from std_toolkit.scene.memory_scene import MemoryScene
 from std_toolkit.scene.model import pose_from_list
 
-
 pytestmark = pytest.mark.slow
 
 
