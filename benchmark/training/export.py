@@ -102,8 +102,8 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
     out.mkdir(parents=True, exist_ok=True)
     names = [p.name for p in (path, sums, card)]
     # Those of an earlier version, which kept no record, have their sum beside them.
-    known = names if sums.is_file() and not has_record(out) else []
-    with own_files(out, names, known=known):
+    earlier = names if sums.is_file() and not has_record(out) else []
+    with own_files(out, names, known=earlier):
         write_bytes_atomic(path, data)
         write_bytes_atomic(sums, f"{digest}  {path.name}\n".encode())
         write_bytes_atomic(card, "\n".join(lines).encode())
