@@ -28,11 +28,13 @@ class Prediction(NamedTuple):
         depth: (b, 1, h, w) metres.
         initial: (b, 1, h, w) depth before it was blended or propagated; None where there is none.
         confidence: (b, 1, h, w) trust in the sensor's depth, in [0, 1]; None where there is none.
+        spread: (b, 1, h, w) metres, expected error of `depth`; None where there is none.
     """
 
     depth: Tensor
     initial: Tensor | None = None
     confidence: Tensor | None = None
+    spread: Tensor | None = None
 
 
 class HeldNetwork:
@@ -125,10 +127,13 @@ class NetworkRestorer(HeldNetwork):
     def answers(self, outputs: Any, views: Sequence[protocol.View]) -> list[protocol.Restored]:
         """What the network's outputs say of each view, at the view's size."""
         depth = _at_size(outputs.depth.float(), views)
-        if outputs.confidence is None:
-            return [protocol.Restored(d) for d in depth]
-        confidence = _at_size(outputs.confidence.float().clamp(0, 1), views)
-        return [protocol.Restored(d, c) for d, c in zip(depth, confidence, strict=True)]
+        trust = None if outputs.confidence is None else outputs.confidence.float().clamp(0, 1)
+        spread = None if outputs.spread is None else outputs.spread.float()
+        beside = (
+            [None] * len(views) if maps is None else _at_size(maps, views)
+            for maps in (trust, spread)
+        )
+        return [protocol.Restored(*answer) for answer in zip(depth, *beside, strict=True)]
 
     def resized(self, images: Tensor) -> Tensor:
         """(b, c, h, w) images at the input size, by the nearest pixel."""

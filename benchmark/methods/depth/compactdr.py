@@ -74,7 +74,7 @@ class Looked(NamedTuple):
         moved: (b, 1, h, w) metres, the answer of the residual.
         answer: (b, 1, h, w) metres: the continuation, or what is moved, as `off` says.
         depth: (b, 1, h, w) metres: the sensor where it is trusted, the answer elsewhere.
-        spread: (b, 1, h, w) metres, the scale of the error of `depth`.
+        spread: (b, 1, h, w) metres, scale of the Laplace density of the error of `depth`.
     """
 
     masks: Tensor
@@ -142,7 +142,9 @@ class CompactDRNetwork(nn.Module):
             depth: (b, 1, h, w) metres, 0 where the sensor measured nothing.
         """
         found = self.look(color, depth)
-        return Prediction(found.depth, found.answer, found.trust.sigmoid() * (depth > 0))
+        trust = found.trust.sigmoid() * (depth > 0)
+        # The standard deviation of a Laplace density of this scale.
+        return Prediction(found.depth, found.answer, trust, 2**0.5 * found.spread)
 
     def look(self, color: Tensor, depth: Tensor) -> Looked:
         """All that the network says of an image; arguments as of `forward`."""

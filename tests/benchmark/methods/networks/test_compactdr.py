@@ -14,13 +14,14 @@ from torch.nn.functional import conv2d, pad, relu6
 from benchmark.data.frame import BACKGROUND, Material
 from benchmark.methods.depth.compactdr import PRESETS, CompactDRConfig, CompactDRNetwork
 from benchmark.methods.depth.continuation import continued, main_plane
-from benchmark.methods.depth.full_size import working_size
+from benchmark.methods.depth.full_size import sensor_view, working_size
 from benchmark.methods.efficientnet import CHANNELS, EfficientNetLite, load_imagenet
 from benchmark.methods.weights import save_weights
 from benchmark.restoring.restorer import Restorer
 from benchmark.training.depth.compactdr_training import CompactDRLoss, compactdr_step
 from benchmark.training.step import ModelInput, StepInfo
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
 
 STEPS = 80
 SMALL = CompactDRConfig(
@@ -243,3 +244,7 @@ def test_any_size_goes_in_and_comes_out(tmp_path):
         assert found.depth.shape == (height, width)
         assert np.abs(found.depth - depth.numpy()).max() < 0.005
     assert working_size(restorer.method, (180, 320)) == (90, 160)
+    view = sensor_view(color, raw, Camera(width, height, width, width, width / 2, height / 2))
+    (answer,) = restorer.method.restore([view])
+    assert answer.spread is not None and answer.spread.shape == (height, width)
+    assert (answer.spread > 0).all()
