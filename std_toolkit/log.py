@@ -22,6 +22,8 @@ def log_to_stderr(level: int = logging.INFO) -> None:
     logger.handlers[:] = [handler]
     logger.setLevel(level)
     logger.propagate = False
+    # It prints the traceback of a texture that it cannot read, and goes on without.
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
 
 def escape_what_cannot_be_encoded() -> None:

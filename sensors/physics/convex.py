@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from sensors.assets.asset import Asset, surface_points
 from sensors.physics.coacd_process import SETTINGS
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.foreign_files import read_npz
 from std_toolkit.log import logger
 
 Array = NDArray[np.float64]
@@ -310,9 +310,9 @@ def _key(asset: Asset, coarse: bool) -> str:
 def _read(path: Path) -> tuple[Array, ...] | None:
     """The parts in a file; None if it does not exist or is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            vertices, sizes = data["vertices"], data["sizes"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        data = read_npz(path)
+        vertices, sizes = data["vertices"], data["sizes"]
+    except (ToolkitError, KeyError):
         return None
     right = (
         vertices.ndim == 2

@@ -11,6 +11,7 @@ import gc
 import importlib
 import logging
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -237,6 +238,8 @@ def _failure(error: BaseException, program: str, debug: bool) -> int:
     elif isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         shown = f"{where}{error.strerror or error}"
+    elif (outside := _outside_of_the_toolkit(error)) is not None:
+        shown = outside
     else:  # a bug in the toolkit: still one line, and how to get the traceback
         shown = missing_extra(error) or ToolkitError(
             f"unexpected {type(error).__name__}: {error}",
@@ -244,6 +247,19 @@ def _failure(error: BaseException, program: str, debug: bool) -> int:
         )
     print(f"error: {shown}", file=sys.stderr)
     return 1
+
+
+def _outside_of_the_toolkit(error: BaseException) -> ToolkitError | None:
+    """The error for names that no file can have, and for memory that is used up; else None."""
+    said = str(error)
+    if isinstance(error, RuntimeError) and (found := re.match("Symlink loop from '(.*)'", said)):
+        return ToolkitError("is a link that leads to itself", path=found[1])
+    if isinstance(error, ValueError) and said.startswith("embedded null"):
+        return ToolkitError("a file or folder is named with a zero byte")
+    if isinstance(error, MemoryError):
+        hint = "use smaller images or meshes, fewer --workers, or a computer with more"
+        return ToolkitError(f"the memory does not suffice: {said or 'none left'}", hint=hint)
+    return None
 
 
 def _load(reference: str) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh_damage import check_whole, warn_of_loose_vertices
+from std_toolkit.geometry.mesh_damage import check_whole, refuse_piles, warn_of_loose_vertices
 from std_toolkit.geometry.mesh_records import read_records
 from std_toolkit.geometry.obj_files import ObjFiles, log_notes, read_obj
 from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
@@ -100,6 +100,7 @@ def load_mesh(
     warn_of_loose_vertices(path, len(mesh.vertices), mesh.faces)
     if not np.isfinite(mesh.vertices).all():
         raise ToolkitError("the mesh has vertices that are not finite", path=path)
+    refuse_piles(path, mesh.vertices, mesh.faces)
     if (
         corners
         and files is not None

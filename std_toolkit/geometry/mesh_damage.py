@@ -1,16 +1,19 @@
-"""Mesh files that were cut off, which parsers of text formats read as smaller meshes."""
+"""Damaged mesh files: cut off, which parsers of text read as smaller meshes, or piled faces."""
 
+import math
 import re
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 
 _HEADER_BYTES = 65536
 _TAIL_BYTES = 65536
+_MOST_AT_AN_EDGE = 1000  # two in a closed surface
 _CORNER = re.compile(r"-?\d+(/-?\d*){0,2}")
 # Numbers after the keyword of a line of an OBJ file.
 _FEWEST = {"v": 3, "vt": 2, "vn": 3}
@@ -123,3 +126,34 @@ def _check_last_line(path: Path) -> None:
 
 def _slashes(corner: str) -> tuple[int, bool]:
     return corner.count("/"), corner.endswith("/")
+
+
+def refuse_piles(path: Path, vertices: Array, faces: NDArray[np.integer]) -> None:
+    """Refuse a mesh in which more than a thousand faces lie on each other or share an edge.
+
+    All of them are as near to a point as one: a search for the nearest surface visits each, and
+    takes minutes where it takes milliseconds else.
+
+    Args:
+        path: its file.
+        vertices: (V, 3) finite coordinates.
+        faces: (F, 3) indices.
+
+    Raises:
+        ToolkitError: it is such a mesh.
+    """
+    if len(faces) <= _MOST_AT_AN_EDGE:
+        return
+    x, y, z = np.asarray(vertices, dtype=np.float64).T
+    with np.errstate(over="ignore", invalid="ignore"):
+        # One number for each place, so that vertices that were written twice are one.
+        corners = (x + math.pi * y + math.e * z)[np.asarray(faces)]
+        others = np.roll(corners, -1, axis=1)
+        low, high = np.minimum(corners, others), np.maximum(corners, others)
+        edges = np.sort((math.sqrt(2) * low + math.sqrt(3) * high)[low < high])
+    if (edges[_MOST_AT_AN_EDGE:] == edges[:-_MOST_AT_AN_EDGE]).any():
+        raise ToolkitError(
+            f"more than {_MOST_AT_AN_EDGE} faces of the mesh lie on each other or share an edge",
+            path=path,
+            hint="remove repeated faces, as MeshLab and Blender do",
+        )

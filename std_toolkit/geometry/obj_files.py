@@ -139,7 +139,10 @@ class _Reader:
     def inside(self, source: Path, text: str, *, quiet: bool = False) -> Path | None:
         """The file that a line of `source` names; None if it is missing."""
         name = text.strip().strip('"').replace("\\", "/")
-        path = (source.parent.resolve() / name).resolve()
+        try:
+            path = (source.parent.resolve() / name).resolve()
+        except (ValueError, RuntimeError) as error:  # a zero byte; a link to itself
+            raise ToolkitError(f"names no file: {error}", path=source, value=text) from error
         if not name or not path.is_relative_to(self.folder):
             if self.strict:
                 raise ToolkitError(

@@ -117,10 +117,44 @@ def is_ros_recording(source: Path | str) -> bool:
         return _LIBREALSENSE.encode() not in file.read(1 << 20)
 
 
+def check_database(path: Path) -> None:
+    """Check that no page is missing, which SQLite reads as zeros, and that tables are tables.
+
+    The rows of a view are computed when they are read, without end if it says so.
+
+    Raises:
+        ToolkitError: the file is shorter than it declares, is no database, or has views.
+    """
+    with path.open("rb") as file:
+        head = file.read(32)
+    size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+    if path.stat().st_size < (65536 if size == 1 else size) * pages or len(head) < 32:
+        raise ToolkitError("the file was cut short", path=path, hint="copy or record it again")
+    try:
+        with closing(_database(path)) as database:
+            other = database.execute(
+                "SELECT name FROM sqlite_master WHERE type = 'view' OR sql LIKE 'CREATE VIRTUAL%'"
+            ).fetchone()
+    except (sqlite3.Error, ValueError) as error:
+        raise ToolkitError(f"not a readable database: {error}", path=path) from error
+    if other is not None:
+        problem = "has a view or a virtual table; recordings of ROS have none"
+        raise ToolkitError(problem, path=path, value=str(other[0])[:80])
+
+
+def _database(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+
+
 def _topics_of_db3(path: Path) -> str:
     try:
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
+        check_database(path)
+    except ToolkitError as error:
+        # The reader of librealsense names what is damaged; that of ROS calls this again.
+        return _LIBREALSENSE if isinstance(error.__cause__, sqlite3.Error) else ""
+    try:
+        with closing(_database(path)) as database:
             row = database.execute("SELECT name FROM topics ORDER BY name LIMIT 1").fetchone()
     except sqlite3.Error:
-        return _LIBREALSENSE  # its own reader names what is damaged
-    return row[0] if row else ""
+        return _LIBREALSENSE
+    return str(row[0]) if row else ""

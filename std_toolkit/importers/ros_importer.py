@@ -17,7 +17,7 @@ from std_toolkit.errors import ToolkitError, missing_extra
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.filed_cameras import camera_of_fields
 from std_toolkit.geometry.intrinsics import Intrinsics
-from std_toolkit.importers.foreign_files import is_ros_recording
+from std_toolkit.importers.foreign_files import check_database, is_ros_recording
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics, told, with_distortion
 from std_toolkit.importers.options import ImportRequest
@@ -30,6 +30,7 @@ from std_toolkit.importers.ros_images import (
     pair_stamps,
     write_image,
 )
+from std_toolkit.jobs.door import regular
 from std_toolkit.log import logger
 
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -57,19 +58,6 @@ class ImageTopic:
         """The name without the image transport."""
         stem, _, last = self.name.rpartition("/")
         return stem if last in _TRANSPORTS else self.name
-
-
-def _check_length(path: Path) -> None:
-    """Check that no page is missing; SQLite would read zeros.
-
-    Raises:
-        ToolkitError: the file is shorter than it declares.
-    """
-    with path.open("rb") as file:
-        head = file.read(32)
-    size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-    if path.stat().st_size < (65536 if size == 1 else size) * pages or len(head) < 32:
-        raise ToolkitError("the file was cut short", path=path, hint="copy or record it again")
 
 
 class RosImporter:
@@ -136,8 +124,9 @@ def _opened(source: Path) -> Iterator[Any]:
     except ModuleNotFoundError as error:
         raise missing_extra(error) or error from error
     for path in [source] if source.is_file() else sorted(source.iterdir()):
+        regular(path)  # rosbags would wait for a pipe
         if path.suffix == ".db3":
-            _check_length(path)
+            check_database(path)
     try:
         # Recordings before ROS 2 Iron do not have the definitions of their messages.
         with AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:

@@ -82,7 +82,12 @@ def document_bytes(document: Any, *, path: Path | str | None = None) -> bytes:
             value has a type that JSON lacks, or the document would not pass its own validation.
     """
     _refuse_not_finite(msgspec.to_builtins(document, enc_hook=plain_number), path, "")
-    encoded = msgspec.json.encode(document, enc_hook=plain_number)
+    try:
+        encoded = msgspec.json.encode(document, enc_hook=plain_number)
+    except UnicodeEncodeError as error:  # of a file name or word in another encoding
+        raise ToolkitError(
+            "cannot be written as JSON: not text", path=path, value=error.object[:80]
+        ) from error
     if isinstance(document, msgspec.Struct):
         # Structs are not checked when they are made; what is written must be readable.
         decode_document(encoded, type(document), path=path)

@@ -12,6 +12,8 @@ import re
 import struct
 import tokenize
 import tomllib
+import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +25,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import plain_integer, refuse_twice
-from std_toolkit.io.regular import open_regular_file, read_text
+from std_toolkit.io.regular import MIB, open_regular_file, read_text
 
 T = TypeVar("T")
 
@@ -32,6 +34,8 @@ _LARGEST_YAML_BYTES = 1024 * 1024
 _DEEPEST_YAML = 40
 _LARGEST_JSON_BYTES = 16 * 1024 * 1024
 _LARGEST_NPY_BYTES = 2**40
+_LARGEST_UNPACKED_BYTES = 2**30
+_RATIO = 20
 _MOST_PARTS = 20
 # A string, a comment or a long number; or one sign that parts keys, tables and values.
 _TOML_SIGNS = re.compile(
@@ -68,6 +72,34 @@ def mapped_npy(path: Path, records: np.dtype[Any] | None = None) -> NDArray[Any]
         return np.memmap(file, header.dtype, "r", offset=at, shape=(header.count,))
 
     return _npy(path, mapped, records)
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a .npz file by name.
+
+    Raises:
+        ToolkitError: not found, no regular file, no such file, damaged, or it unpacks to more than
+            a gigabyte and twenty times its size.
+    """
+    try:
+        with open_regular_file(path, "arrays", _LARGEST_NPY_BYTES) as file:
+            size = os.fstat(file.fileno()).st_size
+            with zipfile.ZipFile(file) as archive:
+                unpacked = sum(part.file_size for part in archive.infolist())
+            if unpacked > max(_LARGEST_UNPACKED_BYTES, _RATIO * size):
+                raise ToolkitError(
+                    f"{size} bytes that unpack to {unpacked / MIB:.0f} MB", path=path
+                )
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as data:
+                return {name: data[name] for name in data.files}
+    except (
+        *(ValueError, OSError, EOFError, TypeError, SyntaxError, RecursionError, MemoryError),
+        *(OverflowError, LookupError, AttributeError, tokenize.TokenError, struct.error),
+        *(zipfile.BadZipFile, zlib.error, RuntimeError),  # RuntimeError: encrypted
+    ) as error:
+        line = " ".join(str(error).split())
+        raise ToolkitError(f"not arrays of numpy: {line[:200]}", path=path) from error
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.foreign_files import read_npz
 from std_toolkit.io.images import read_color
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
@@ -100,7 +101,7 @@ def extract_features(
         ToolkitError: images cannot be read; the message names all of them.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [job for job in jobs if not feature_path(folder, job.name).exists()]
+    missing = [job for job in jobs if not feature_path(folder, job.name).is_file()]
     if missing:
         run_jobs(
             partial(_extract, folder=folder, max_features=max_features),
@@ -112,9 +113,19 @@ def extract_features(
 
 
 def load_features(folder: Path, name: str) -> Features:
-    """Read the features that `extract_features` wrote."""
-    with np.load(feature_path(folder, name), allow_pickle=False) as data:
+    """Read the features that `extract_features` wrote.
+
+    Raises:
+        ToolkitError: the file was damaged since.
+    """
+    path = feature_path(folder, name)
+    try:
+        data = read_npz(path)
         return Features(data["keypoints"], data["descriptors"])
+    except (ToolkitError, KeyError) as error:
+        problem = error.problem if isinstance(error, ToolkitError) else f"{error} is missing"
+        hint = "delete it: features are found again"
+        raise ToolkitError(problem, path=path, hint=hint) from error
 
 
 def _extract(job: FeatureJob, *, folder: Path, max_features: int) -> None:

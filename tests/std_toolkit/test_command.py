@@ -136,6 +136,26 @@ def test_failures_and_failed_gates_are_status_1(capsys: pytest.CaptureFixture[st
     assert program().main(["gate", "s"]) == 1
 
 
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (RuntimeError("Symlink loop from '/a/b.mtl'"), "/a/b.mtl: is a link that leads to itself"),
+        (ValueError("embedded null byte"), "named with a zero byte"),
+        (MemoryError("Unable to allocate 8 GiB"), "memory does not suffice: Unable to allocate 8"),
+    ],
+)
+def test_odd_names_and_full_memory_are_no_defects(
+    error: Exception, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: Options) -> int:
+        raise error
+
+    monkeypatch.setattr(sys.modules[__name__], "refuse", fail)
+    assert program().main(["refuse", "s"]) == 1
+    said = capsys.readouterr().err
+    assert told in said and "defect" not in said and said.count("\n") == 1
+
+
 def test_metadata_name_require_and_hide_options(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--split", "a", "b", "--set", "x=1", "--phases", "one=3", "two=4"]
     options, _ = parse_options(Named, words, "std-draw")

@@ -6,7 +6,6 @@ a tolerance: the distance by which the grasp may miss its point and still hold.
 
 import hashlib
 import io
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +18,10 @@ from benchmark.metrics.grasp import collision, force_closure, grasp
 from benchmark.metrics.grasp.gripper import Gripper, get_gripper
 from benchmark.training.grasp.pack_files import GraspPackSetup
 from benchmark.training.grasp.tabletop import TableObject
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.foreign_files import read_npz
 
 # Widths and tolerances are kept in half millimetres: a byte reaches 12.7 cm.
 UNIT = 0.0005
@@ -129,10 +130,10 @@ def kept_labels(folder: Path, obj: TableObject, setup: GraspPackSetup) -> Object
     path = folder / f"{obj.name}-{digest.hexdigest()[:16]}.npz"
     names = ("points", "friction", "widths", "tolerances")
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            points, friction, widths, tolerance = (kept[name] for name in names)
-            return ObjectLabels(points, friction, widths, tolerance, setup.depths)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        kept = read_npz(path)
+        points, friction, widths, tolerance = (kept[name] for name in names)
+        return ObjectLabels(points, friction, widths, tolerance, setup.depths)
+    except (ToolkitError, KeyError):
         pass  # missing or damaged: computed again
     made = object_labels(
         obj.vertices,

@@ -16,6 +16,7 @@ from benchmark.training.grasp.tabletop import TableObject, look_at_table
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.foreign_files import read_npz
 
 _ROWS = ("friction", "widths", "tolerances")
 # Points of a frame that are read, for each that the network is shown: every step draws others.
@@ -179,10 +180,10 @@ class PackedGrasps(Dataset[dict[str, Tensor]]):
         path = pack_files.scene_folder(self.folders[frame.pack], frame.number) / "meshes.npz"
         known = self.scenes[frame.pack, frame.number].objects
         try:
-            with np.load(path, allow_pickle=False) as kept:
-                meshes = [(kept[f"vertices{k}"], kept[f"faces{k}"]) for k in range(len(known))]
-        except (OSError, ValueError, KeyError) as error:
-            raise ToolkitError(f"the meshes cannot be read: {error}", path=path) from error
+            kept = read_npz(path)
+            meshes = [(kept[f"vertices{k}"], kept[f"faces{k}"]) for k in range(len(known))]
+        except KeyError as error:
+            raise ToolkitError(f"the meshes lack {error}", path=path) from error
         return [
             TableObject(
                 o.name, v.astype(np.float64), f.astype(np.int64), _pose(o.T_world_obj), o.surface

@@ -276,3 +276,25 @@ def test_a_mesh_of_very_many_faces_is_decimated_in_two_steps(
     inside = np.abs(coarse.vertices[:, 2]) > 0.005
     upper = coarse.vertices[inside, 2] > 0
     assert np.array_equal(coarse.visual.vertex_colors[inside, 0] > 127, upper)
+
+
+def test_piled_faces_are_refused_and_fans_are_read(tmp_path: Path) -> None:
+    """A search for the nearest surface would visit each of them."""
+    corners = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\n"
+    piled = tmp_path / "piled.obj"
+    piled.write_text(corners + "f 1 2 3\n" * 2000)
+    book = tmp_path / "book.obj"
+    pages = [f"v {0.1 * np.cos(a)} {0.1 * np.sin(a)} 0\n" for a in np.linspace(0, 6, 1500)]
+    leaves = [f"f {i + 3} 2 1\n" for i in range(1500)]
+    book.write_text("v 0 0 0\nv 0 0 0.1\n" + "".join(pages + leaves))
+    apart = tmp_path / "apart.stl"
+    trimesh.Trimesh(
+        np.tile([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], (2000, 1)),
+        np.arange(6000).reshape(-1, 3),
+        process=False,
+    ).export(apart)
+    for path in (piled, book, apart):
+        with pytest.raises(ToolkitError, match="more than 1000 faces of the mesh lie on each"):
+            load_mesh(path)
+    cone = trimesh.creation.cone(0.05, 0.1, sections=3000)
+    assert len(load_mesh(saved(cone, tmp_path / "cone.ply")).faces) == len(cone.faces)

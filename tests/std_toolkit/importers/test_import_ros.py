@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -231,6 +234,30 @@ def test_a_damaged_recording_is_refused(kind: str, tmp_path: Path) -> None:
                 ImportRequest(source=cut, name="x"), tmp_path / "out", format_name="ros"
             )
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_pipe_in_a_recording_is_not_waited_for(storage: str, tmp_path: Path) -> None:
+    write_recording(tmp_path / "rec", storage=storage)
+    file = next(p for p in (tmp_path / "rec").iterdir() if p.suffix in (".mcap", ".db3"))
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(ToolkitError, match="pipe or device") as refused:
+        imported(tmp_path / "rec")
+    assert str(refused.value.path) == str(file)
+
+
+def test_a_view_without_end_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "rec.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute(
+            "CREATE VIEW topics AS WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) "
+            "SELECT x AS id, 'a' AS name, 'b' AS type FROM n"
+        )
+    assert is_ros_recording(path)
+    with pytest.raises(ToolkitError, match="has a view") as refused:
+        imported(path)
+    assert refused.value.value == "topics"
 
 
 def test_other_folders_are_no_recordings_of_ros(tmp_path: Path) -> None:

@@ -219,3 +219,11 @@ def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_bytes(b"\xef\xbb\xbf" + b'{"a": [1, 2]}')
     assert read_document(tmp_path / "a.json", Any) == {"a": [1, 2]}
     assert read_json(tmp_path / "a.json") == {"a": [1, 2]}
+
+
+def test_a_word_that_is_no_text_is_not_written(tmp_path: Path) -> None:
+    """A word of the command line, or a file's name, may be in any encoding."""
+    path = tmp_path / "note.json"
+    with pytest.raises(ToolkitError, match="cannot be written as JSON: not text"):
+        write_document(path, {"annotator": "\udcff"})
+    assert not path.exists()

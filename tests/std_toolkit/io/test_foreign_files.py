@@ -9,6 +9,7 @@ import os
 import random
 import struct
 import time
+import zipfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,7 @@ from std_toolkit.io.foreign_files import (
     mapped_npy,
     read_json,
     read_npy,
+    read_npz,
     read_toml,
     read_yaml,
 )
@@ -39,6 +41,12 @@ REPOSITORY = Path(__file__).parents[3]
 def npy(array: np.ndarray) -> bytes:
     file = io.BytesIO()
     np.save(file, array)
+    return file.getvalue()
+
+
+def npz(**arrays: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
     return file.getvalue()
 
 
@@ -64,6 +72,7 @@ READERS: dict[str, tuple[bytes, Callable[[Path], object]]] = {
     "a.toml": (TOML, lambda path: read_toml(path, dict[str, Any])),
     "s.toml": (b"[poses.board_scale]\nfewest_corners = 9\n", read_settings),
     "a.npy": (npy(np.arange(12, dtype=np.float32).reshape(3, 4)), read_npy),
+    "a.npz": (npz(a=np.arange(12), b=np.eye(3)), read_npz),
     "m.npy": (npy(np.arange(12, dtype=np.uint16)), mapped_npy),
     "a.csv": (
         b'a, b\n1, "x\ny"\n',
@@ -163,6 +172,25 @@ def test_a_header_of_numpy_that_is_no_python_is_a_damaged_file(tmp_path: Path) -
     for read in (read_npy, mapped_npy):
         with pytest.raises(ToolkitError, match=r"shard-00000\.npy: not a numpy array"):
             read(path)
+
+
+def test_packed_arrays_that_unpack_to_gigabytes_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for k in range(5):
+            archive.writestr(f"a{k}.npy", bytes(2**20))
+    data = path.read_bytes()
+    # The sizes that the directory claims: 2**20 bytes become 2**30.
+    path.write_bytes(data.replace(struct.pack("<I", 2**20), struct.pack("<I", 2**30)))
+    with pytest.raises(ToolkitError, match="bytes that unpack to 5120 MB"):
+        read_npz(path)
+
+
+def test_objects_in_packed_arrays_are_never_made(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, a=np.array([Path()], dtype=object))
+    with pytest.raises(ToolkitError, match="Object arrays cannot be loaded"):
+        read_npz(path)
 
 
 @pytest.mark.parametrize(

@@ -221,3 +221,17 @@ def test_the_texture_of_a_ply_comes_along(tmp_path: Path) -> None:
     assert list(files) == ["box.glb"]
     (tmp_path / "copy").mkdir()
     assert colors_of(load_mesh(write_mesh_copy(tmp_path / "copy", files))) == {RED}
+
+
+@pytest.mark.parametrize("fault", ["zero byte", "link to itself"])
+def test_a_texture_whose_name_names_no_file_is_an_error_of_the_file(
+    fault: str, tmp_path: Path
+) -> None:
+    name = "a\0b.png" if fault == "zero byte" else "a.png"
+    (tmp_path / "box.mtl").write_text(f"newmtl A\nmap_Kd {name}\n")
+    if fault == "link to itself":
+        (tmp_path / name).symlink_to(name)
+    path = obj(tmp_path / "box.obj", "mtllib box.mtl", *VERTICES, *UV, "usemtl A", *FACES)
+    with pytest.raises(ToolkitError, match="names no file") as refused:
+        load_mesh(path)
+    assert str(refused.value.path) == str(tmp_path / "box.mtl")

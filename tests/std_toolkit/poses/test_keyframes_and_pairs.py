@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-import numpy as np
+import os
+from pathlib import Path
 
+import numpy as np
+import pytest
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.images import write_png
+from std_toolkit.jobs import JobOptions
 from std_toolkit.poses.features import (
+    FeatureJob,
     FrameMeasure,
     choose_keyframes,
     choose_pairs,
     describe_image,
+    extract_features,
+    feature_path,
+    load_features,
     match_descriptors,
     measure_frames,
     train_vocabulary,
@@ -43,6 +54,21 @@ def test_a_blurred_frame_is_not_a_keyframe_where_a_sharp_one_is_near() -> None:
 
 def test_every_frame_of_a_fast_camera_is_a_keyframe() -> None:
     assert choose_keyframes(measures([0.3] * 10), motion=0.05, max_gap=30) == list(range(10))
+
+
+def test_features_in_a_pipe_are_found_again_and_damaged_ones_named(tmp_path: Path) -> None:
+    write_png(tmp_path / "a.png", np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8))
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    os.mkfifo(feature_path(kept, "a"))
+    jobs = [FeatureJob("a", tmp_path / "a.png", (64, 48), fine=False)]
+    extract_features(jobs, kept, max_features=100, options=JobOptions(engine="serial"))
+    assert len(load_features(kept, "a").keypoints) > 0
+    path = feature_path(kept, "a")
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(ToolkitError, match="delete it") as refused:
+        load_features(kept, "a")
+    assert str(refused.value.path) == str(path)
 
 
 def test_no_frames() -> None:
