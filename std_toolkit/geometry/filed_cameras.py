@@ -175,14 +175,14 @@ def _numbers(plain: Mapping[str, tuple[str, Any]], size: tuple[int, int] | None)
     for name in MATRIX:
         if name in plain and is_filled(plain[name][1]):
             key, value = plain[name]
-            values = _list(value, key)
-            if len(values) < 9 and any(a in plain for a in SCALARS["fx"]):
+            entries = _list(value, key)
+            if len(entries) < 9 and any(a in plain for a in SCALARS["fx"]):
                 raise ToolkitError(
                     "is no camera matrix beside fx: a lens?", field=key, value=value,
                     hint="write them as k1 k2 p1 p2 k3, or as `distortion`",
                 )  # fmt: skip
-            found = _of_matrix(values, key)
-            return _from_zero(found) if _is_matlab(plain, values) else found
+            found = _of_matrix(entries, key)
+            return _from_zero(found) if _is_matlab(plain, entries) else found
     values: dict[str, float] = {}
     used: dict[str, str] = {}
     for name, aliases in SCALARS.items():

@@ -10,7 +10,16 @@ from std_toolkit.geometry.intrinsics import Intrinsics
 
 _WIDTH = ("width", "w", "xres", "imagewidth", "imgwidth", "resx", "cols", "colorwidth")
 _HEIGHT = ("height", "h", "yres", "imageheight", "imgheight", "resy", "rows", "colorheight")
-_BOTH = ("resolution", "imagesize", "imgsize", "imageresolution", "imageshape", "shape", "size")
+_BOTH = (
+    "resolution",
+    "imagesize",
+    "imgsize",
+    "imageresolution",
+    "imageshape",
+    "imgshape",
+    "shape",
+    "size",
+)
 _DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _SIDES = re.compile(r"(\d{1,6}) *[x*×,] *(\d{1,6})")
 # Metres per unit below 1, units per metre above 50; others are not clear.
@@ -80,8 +89,8 @@ def filed_size(
     pair = [next((plain[a] for a in names if a in plain), None) for names in (_WIDTH, _HEIGHT)]
     if pair[0] is None or pair[1] is None:
         return None
-    width, height = (number(value, key) for key, value in filter(None, pair))
-    return int(width), int(height)
+    stated = [int(number(value, key)) for key, value in filter(None, pair)]
+    return stated[0], stated[1]
 
 
 def filed_depth_unit(
