@@ -140,6 +140,8 @@ class OpenCV(Lens):
 
     def undistort(self, uv: Array, K: Array) -> Array:
         """See `Lens`."""
+        if not uv.size:  # for which OpenCV returns nothing
+            return np.empty(uv.shape)
         # OpenCV's default stops after 5 iterations, which leaves 0.1 px at wide corners.
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
         flat = np.ascontiguousarray(uv.reshape(-1, 1, 2))

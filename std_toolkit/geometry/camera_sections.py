@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from std_toolkit.geometry.filed_lens import plain_key
+from std_toolkit.geometry.filed_lens import plain_key, states_lens
 
 MATRIX = (
     "k", "camk", "cameramatrix", "intrinsicmatrix", "intrinsicsmatrix", "intrinsics", "intrinsic",
@@ -22,6 +22,10 @@ SCALARS = {
 }
 FOCAL = ("focallength", "focal", "f", "focallengths", "focals", "fl")
 CENTRE = ("principalpoint", "center", "centre", "pp", "c", "opticalcenter")
+# What tells the rows of a list apart.
+_NAME_KEYS = ("name", "cameraname", "cameraid", "label", "serial", "serialnumber", "id")
+# Sections of a lens that belong to another camera than that of colour, or to no recorded image.
+_OF_OTHERS = re.compile(r"depth|infra|^ir|undist")
 # Sections beside a camera that may speak of its lens.
 _OF_LENS = re.compile(r"dist|lens|camera|param|resolution|model|fisheye|mirror|size|rgbd|viewer")
 _SUFFIXED = re.compile(r"^(fx|fy|cx|cy|mx|my|ppx|ppy|k[1-6]|p[12])_([a-z]\w*)$")
@@ -78,8 +82,18 @@ def _children(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]
         if isinstance(value, Mapping) and not is_filled(value):
             yield key, value
         elif rows := _mappings(value):
-            for i, row in enumerate(rows):
-                yield f"{key}[{i}]" if len(rows) > 1 else key, row
+            names = _row_names(rows)
+            for name, row in zip(names, rows, strict=True):
+                yield f"{key}{name}" if len(rows) > 1 else key, row
+
+
+def _row_names(rows: list[Mapping[str, Any]]) -> list[str]:
+    """Their names with a dot, if each has one of its own; else their numbers in brackets."""
+    for key in _NAME_KEYS:
+        found = [{plain_key(k): v for k, v in row.items()}.get(key) for row in rows]
+        if all(isinstance(v, str) and v for v in found) and len(set(found)) == len(rows):
+            return [f".{name}" for name in found]
+    return [f"[{i}]" for i in range(len(rows))]
 
 
 def camera_sections(
@@ -96,9 +110,7 @@ def camera_sections(
     own |= {k: v for k, v in data.items() if isinstance(v, Mapping) and is_filled(v)}
     own = {k: v for k, v in own.items() if not _is_rows(v)}
     within = {name: list(camera_sections(child, "", {}, depth + 1)) for name, child in inner}
-    for name, child in inner:
-        if not within[name] and _OF_LENS.search(plain_key(name)):
-            own = {**_leaves(child), **own}
+    own = _with_lens({name: child for name, child in inner if not within[name]}, own)
     if _is_camera(data) or _is_camera(own):
         rows = [c for n, c in inner if n.startswith("frames") and _speaks_of_lens(c)]
         if rows:
@@ -109,7 +121,47 @@ def camera_sections(
         return
     for name, child in inner:
         if within[name]:
-            yield from camera_sections(child, joined(trail, name) or "", own, depth + 1)
+            yield from camera_sections(
+                child, joined(trail, name) or "", _with_own_lens(name, own), depth + 1
+            )
+
+
+def _with_lens(sections: Mapping[str, Mapping[str, Any]], own: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a camera with those of the sections beside it that speak of its lens.
+
+    A section that may belong to another camera, or is not understood, stays one: the reader of the
+    lens refuses it by name.
+    """
+    of_lens = [n for n in sections if _OF_LENS.search(plain_key(n))]
+    of_lens = [n for n in of_lens if not _OF_OTHERS.search(plain_key(n))]
+    leaves = {n: _leaves(sections[n]) for n in of_lens}
+    clear = not _contradict([leaves[n] for n in of_lens if states_lens(sections[n])])
+    for name, child in sections.items():
+        is_lens = states_lens(child)
+        if name in of_lens and (clear or not is_lens):
+            own = {**leaves[name], **own}
+            if is_lens or not re.search("dist|radial|tangential", plain_key(name)):
+                continue
+            # Coefficients under names that are not known.
+            is_lens = any(isinstance(v, int | float | list) for v in leaves[name].values())
+        if is_lens:
+            own.setdefault(name, child)
+    return own
+
+
+def _with_own_lens(name: str, above: dict[str, Any]) -> dict[str, Any]:
+    """What encloses a camera, with the one lens of its name: LEFT_DISTO for LEFT_CAM_HD."""
+    lenses = {k: v for k, v in above.items() if isinstance(v, Mapping) and states_lens(v)}
+    mates = [k for k in lenses if re.split("[ _.-]", k)[0] == re.split("[ _.-]", name)[0]]
+    if len(mates) != 1:
+        return above
+    return {**{k: v for k, v in above.items() if k not in lenses}, **_leaves(lenses[mates[0]])}
+
+
+def _contradict(sections: list[dict[str, Any]]) -> bool:
+    seen: dict[str, Any] = {}
+    pairs = [(plain_key(k), v) for fields in sections for k, v in fields.items()]
+    return any(seen.setdefault(k, v) != v for k, v in pairs if states_lens({k: v}))
 
 
 def _is_rows(value: Any) -> bool:

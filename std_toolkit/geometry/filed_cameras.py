@@ -23,22 +23,11 @@ from std_toolkit.geometry.camera_sections import (
     is_filled,
     joined,
 )
-from std_toolkit.geometry.filed_lens import FiledLens, plain_key
+from std_toolkit.geometry.filed_lens import LIST_KEYS, NAMED_KEYS, FiledLens, plain_key
+from std_toolkit.geometry.filed_numbers import filed_depth_unit, filed_size, number
 from std_toolkit.geometry.intrinsics import Intrinsics
 
-_WIDTH = ("width", "w", "xres", "imagewidth", "imgwidth", "resx", "cols", "colorwidth")
-_HEIGHT = ("height", "h", "yres", "imageheight", "imgheight", "resy", "rows", "colorheight")
-_BOTH = ("resolution",)
 _COLOR = re.compile(r"(?<![a-z])(color|colour|rgb)(?![a-z])|^(color|colour|rgb)")
-# Metres per unit below 1, units per metre above 50; others are not clear.
-_DEPTH_UNIT = (
-    "depthmapfactor",
-    "pngdepthscale",
-    "depthscale",
-    "depthfactor",
-    "depthscaling",
-    "scale",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +48,15 @@ class FiledCamera:
 
 
 def filed_cameras(
-    document: Any, path: Path, *, size: tuple[int, int] | None = None
+    document: Any, path: Path, *, size: tuple[int, int] | None = None, wanted: str | None = None
 ) -> list[FiledCamera]:
-    """All cameras of a document; equal ones once.
+    """All cameras of a document; equal ones once, unless their names matter.
 
     Args:
         document: plain values: mappings and lists, or the numbers of a matrix.
         path: its file, for errors.
         size: image size, for documents that state only an angle of view.
+        wanted: name of the camera that will be chosen; others may be of any lens.
 
     Raises:
         ToolkitError: no camera, or one that is incomplete or has a lens that is not supported.
@@ -75,20 +65,31 @@ def filed_cameras(
         document = {"K": document}
     found: list[FiledCamera] = []
     failed: list[ToolkitError] = []
+    units: list[tuple[float, str]] = []
+    is_there = False
     for name, fields in camera_sections(document, "", {}):
+        is_wanted = wanted is not None and (wanted == name or wanted in name.split("."))
         try:
             one = _camera(name, fields, size)
         except ToolkitError as error:
             failed.append(error.revised(path=path, field=joined(name, error.field)))
+            if is_wanted:
+                raise failed[-1] from error
             continue
-        if one.intrinsics not in [f.intrinsics for f in found]:
+        is_there |= is_wanted
+        if one.depth_unit is not None and "depth" in name.lower():
+            units.append(one.depth_unit)
+        if is_wanted or one.intrinsics not in [f.intrinsics for f in found]:
             found.append(one)
-    if failed and (not found or not any(_COLOR.search(f.name) for f in found)):
+    if failed and not is_there and not any(_COLOR.search(f.name) for f in found):
         raise failed[0]
     if not found:
         raise ToolkitError(
             "intrinsics are incomplete", path=path, field="fx", hint="K, or fx fy cx cy"
         )
+    # A unit that the depth camera states is that of the recording.
+    if len(units) == 1:
+        found = [replace(f, depth_unit=f.depth_unit or units[0]) for f in found]
     return found
 
 
@@ -138,20 +139,27 @@ def _some(names: Sequence[str]) -> str:
 def _camera(name: str, fields: Mapping[str, Any], size: tuple[int, int] | None) -> FiledCamera:
     plain: dict[str, tuple[str, Any]] = {}
     for key, value in fields.items():
-        plain.setdefault(plain_key(key), (key, value))
+        first, before = plain.setdefault(plain_key(key), (key, value))
+        if before != value and plain_key(key) in (*MATRIX, *LIST_KEYS, *NAMED_KEYS):
+            raise ToolkitError(
+                f"{first} and {key} differ only in their spelling", field=key, value=value,
+                hint="remove one, or give --intrinsics fx,fy,cx,cy and --distortion",
+            )  # fmt: skip
     if "params" in plain and "model" in plain:
         return _of_colmap(name, plain)
     lens_fields = _renamed_kannala(fields, plain)
     # First: models with further parameters, such as Kalibr's omni, are refused by name.
     lens = FiledLens(lens_fields, number)
-    stated_size = _size(plain)
+    stated_size = filed_size(plain)
     found = _numbers(plain, stated_size or size)
-    intrinsics = replace(found, distortion=lens.coefficients, size=stated_size, model=lens.model)
+    intrinsics = replace(
+        found, distortion=lens.coefficients, size=filed_size(plain, found), model=lens.model
+    )
     return FiledCamera(
         name=name,
         intrinsics=intrinsics,
         lens=lens_sentence(intrinsics, lens.keys),
-        depth_unit=_depth_unit(plain),
+        depth_unit=filed_depth_unit(plain, of_depth="depth" in name.lower()),
     )
 
 
@@ -167,7 +175,14 @@ def _numbers(plain: Mapping[str, tuple[str, Any]], size: tuple[int, int] | None)
     for name in MATRIX:
         if name in plain and is_filled(plain[name][1]):
             key, value = plain[name]
-            return _of_matrix(_list(value, key), key)
+            entries = _list(value, key)
+            if len(entries) < 9 and any(a in plain for a in SCALARS["fx"]):
+                raise ToolkitError(
+                    "is no camera matrix beside fx: a lens?", field=key, value=value,
+                    hint="write them as k1 k2 p1 p2 k3, or as `distortion`",
+                )  # fmt: skip
+            found = _of_matrix(entries, key)
+            return _from_zero(found) if _is_matlab(plain, entries) else found
     values: dict[str, float] = {}
     used: dict[str, str] = {}
     for name, aliases in SCALARS.items():
@@ -234,13 +249,13 @@ def _of_colmap(name: str, plain: Mapping[str, tuple[str, Any]]) -> FiledCamera:
     lens = tuple(k) if kind == "fisheye" or any(k) else ()
     found = Intrinsics(
         params[0], params[focals - 1], params[focals] - 0.5, params[focals + 1] - 0.5,
-        lens, _size(plain), kind or "opencv",
+        lens, filed_size(plain), kind or "opencv",
     )  # fmt: skip
     return FiledCamera(
         name=str(plain["cameraname"][1]) if "cameraname" in plain else name,
         intrinsics=found,
         lens=lens_sentence(found, [model]),
-        depth_unit=_depth_unit(plain),
+        depth_unit=filed_depth_unit(plain),
     )
 
 
@@ -255,6 +270,18 @@ def _renamed_kannala(
         **{k: v for k, v in fields.items() if not re.fullmatch("k[2-5]", plain_key(k))},
         **other,
     }
+
+
+def _is_matlab(plain: Mapping[str, tuple[str, Any]], K: Sequence[float]) -> bool:
+    """Whether a matrix is that of MATLAB's cameraParameters, which counts pixels from 1."""
+    if "worldpoints" in plain or "numradialdistortioncoefficients" in plain:
+        return True
+    transposed = len(K) == 9 and K[2] == K[5] == 0
+    return "intrinsicmatrix" in plain and "radialdistortion" in plain and transposed
+
+
+def _from_zero(found: Intrinsics) -> Intrinsics:
+    return replace(found, cx=found.cx - 1, cy=found.cy - 1)
 
 
 def _of_matrix(values: list[float], field: str) -> Intrinsics:
@@ -277,35 +304,6 @@ def _of_matrix(values: list[float], field: str) -> Intrinsics:
     return Intrinsics(K[0][0], K[1][1], K[0][2], K[1][2])
 
 
-def _size(plain: Mapping[str, tuple[str, Any]]) -> tuple[int, int] | None:
-    both = next((plain[k] for k in _BOTH if k in plain), None)
-    if both is not None and isinstance(both[1], list) and len(both[1]) == 2:
-        return int(number(both[1][0], both[0])), int(number(both[1][1], both[0]))
-    sides = [next((plain[a] for a in names if a in plain), None) for names in (_WIDTH, _HEIGHT)]
-    if sides[0] is None or sides[1] is None:
-        return None
-    width, height = (number(value, key) for key, value in filter(None, sides))
-    return int(width), int(height)
-
-
-def _depth_unit(plain: Mapping[str, tuple[str, Any]]) -> tuple[float, str] | None:
-    """Metres per unit of depth images, if a key states it clearly."""
-    for name in _DEPTH_UNIT:
-        key, value = plain.get(name, ("", None))
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        if 50 <= value <= 1e6:
-            return 1 / value, key
-        if name == "scale":
-            continue
-        if 0 < value <= 0.02:
-            return float(value), key
-        # BOP's depth_scale is in millimetres per unit.
-        if name == "depthscale" and {"fx", "fy", "cx", "cy"} <= plain.keys() and value <= 1:
-            return float(f"{value / 1000:.12g}"), key
-    return None
-
-
 def _list(value: Any, field: str) -> list[float]:
     if isinstance(value, Mapping):
         value = next((v for k, v in value.items() if plain_key(k) == "data"), None)
@@ -315,20 +313,3 @@ def _list(value: Any, field: str) -> list[float]:
     for item in value:
         flat.extend(_list(item, field) if isinstance(item, list) else [number(item, field)])
     return flat
-
-
-def number(value: Any, field: str) -> float:
-    """A finite number of a document.
-
-    Raises:
-        ToolkitError: something else.
-    """
-    if not isinstance(value, bool) and isinstance(value, int | float):
-        try:
-            found = float(value)
-        except OverflowError:  # an integer of hundreds of digits
-            found = math.inf
-        if math.isfinite(found):
-            return found
-    shown = str(value)[:40] if isinstance(value, int) else value
-    raise ToolkitError("must be a finite number", field=field, value=shown)

@@ -32,14 +32,20 @@ _RADIAL, _TANGENTIAL = (
     ("tangentialdistortion", "tangential", "tangentialcoefficients"),
 )
 NAMED_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+# `rs2_distortion` of librealsense, by number.
+_LIBREALSENSE = (
+    "none", "modified brown conrady", "inverse brown conrady", "ftheta", "brown conrady",
+    "kannala brandt4",
+)  # fmt: skip
 # Keys that look like a lens; those of depth sensors and of ranges do not count.
 _LENSLIKE = re.compile(
     r"dist(?!ance|ribut|urb|inct|rict)|fisheye|^k\d+$|^p[1-9]$|model|^xi$|^(alpha|beta|lambda)$"
     r"|lens|radial|tangential|^coef|coeffs?$|poly(?!gon)|^s[1-4]$|^tau[xy]$|mirror|affine|skew"
+    r"|ftheta|latlong|equirect|panoram|^cod[xy]$"
 )
 _NO_LENS = re.compile(
     r"(min|max|near|far|focus|working|threshold|thr|th)dist|dist(min|max|th|thresh|threshold)$"
-    r"|undist|lens(position|id|name|serial|mount|focus|spec|shading)|model(id|path|file|number|index|nr|year)|(cad|mesh|object|depth|noise|imu|world)model"
+    r"|undist|intrinsiccoeff|lens(position|id|name|serial|mount|focus|spec|shading)|model(id|path|file|number|index|nr|year)|(cad|mesh|object|depth|noise|imu|world)model"
 )
 # Names that mention one of these are lens models other than OpenCV's, not names of devices.
 _FOREIGN = re.compile(
@@ -209,15 +215,21 @@ class FiledLens:
             plain = plain_key(key)
             if (
                 key in self.keys
-                or plain in (*MODEL_KEYS, *FISHEYE_KEYS)
-                or not _LENSLIKE.search(plain)
-                or _NO_LENS.search(plain)
+                or (plain in (*MODEL_KEYS, *FISHEYE_KEYS) and not isinstance(value, Mapping))
                 or _says_nothing(value)
             ):
                 continue
+            if isinstance(value, Mapping) and states_lens(value):
+                if self.keys:
+                    continue  # that of another camera
+            elif not _LENSLIKE.search(plain) or _NO_LENS.search(plain):
+                continue
             if isinstance(value, bool) and any(self.coefficients):
                 continue  # "distorted: true"
-            if isinstance(value, str) and not _FOREIGN.search(plain_key(value)):
+            is_text = isinstance(value, str) and not (
+                plain in LIST_KEYS and re.search(r"\d", value)
+            )
+            if is_text and not _FOREIGN.search(plain_key(value)):
                 continue  # a name of something else
             raise ToolkitError(
                 "looks like a part of the lens, and is not understood",
@@ -225,6 +237,20 @@ class FiledLens:
                 value=value if not isinstance(value, Mapping) else sorted(map(str, value))[:6],
                 hint="give --intrinsics fx,fy,cx,cy and --distortion, or remove it from the file",
             )
+
+
+def states_lens(section: Mapping[str, Any]) -> bool:
+    """Whether a section has coefficients under names that are known."""
+    for key, value in section.items():
+        plain = plain_key(key)
+        if isinstance(value, Mapping):
+            if states_lens(value):
+                return True
+        elif plain in NAMED_KEYS or (
+            plain in (*LIST_KEYS, *_RADIAL, *_TANGENTIAL) and isinstance(value, list)
+        ):
+            return True
+    return False
 
 
 def _says_nothing(value: Any) -> bool:
@@ -281,7 +307,11 @@ def model_of_fields(data: Mapping[str, Any], *, has_coefficients: bool) -> str:
             if str(value).lower() in ("true", "1", "1.0"):
                 found.add("fisheye")
             continue
-        if plain_name not in MODEL_KEYS or not isinstance(value, str):
+        if plain_name not in MODEL_KEYS:
+            continue
+        if plain_name != "distortion" and has_coefficients:
+            value = _decoded(key, value, data)
+        if not isinstance(value, str):
             continue
         text = value.lower().strip()
         plain = plain_key(re.sub(r"^(distortion|rs2?_?distortion)[._]", "", text))
@@ -299,6 +329,25 @@ def model_of_fields(data: Mapping[str, Any], *, has_coefficients: bool) -> str:
             )
     # Kalibr states "pinhole" and "equidistant" of one lens.
     return next((name for name in found if name != "opencv"), "opencv")
+
+
+def _decoded(key: str, value: Any, data: Mapping[str, Any]) -> Any:
+    """The name of a model that is stated by a number.
+
+    Raises:
+        ToolkitError: the number is not understood.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or value == 0:
+        return value
+    plain = plain_key(key)
+    if plain == "model" and "coeffs" in map(plain_key, data) and 0 < value < len(_LIBREALSENSE):
+        return _LIBREALSENSE[int(value)]
+    if plain in _MAY_BE_DEVICE:
+        return value
+    raise ToolkitError(
+        "a lens model that is stated by a number is not understood", field=key, value=value,
+        hint="write its name, such as opencv or fisheye",
+    )  # fmt: skip
 
 
 def _is_harmless(key: str, name: str, has_coefficients: bool) -> bool:

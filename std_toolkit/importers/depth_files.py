@@ -23,12 +23,10 @@ DEPTH_SUFFIXES = (".png", ".exr", *TIFF_SUFFIXES)
 _SATURATED = 65535
 # "No depth" of the synthetic half of NOCS.
 _NOCS_EMPTY = 32001
-# Numbers that programs write for "nothing", or at which a sensor saturates. Millimetres and units
-# of 16-bit images, and metres of floating-point ones.
-KNOWN_MARKS = (
-    65535, 65534, 65504, 65500, 65000, 60000, 50000, 40000, 32767, 32766, 32000, 30000, 20000,
-    16383, 10000, 9999, 8191, 8190, 4095, 4094,
-)  # fmt: skip
+# Numbers at which a sensor or a file saturates, whatever the unit; numbers that programs write for
+# "nothing", in millimetres and units of 16-bit images; and in metres of floating-point ones.
+FULL_SCALE = (65535, 65534, 65504, 32767, 32766, 16383, 8191, 8190, 4095, 4094)
+KNOWN_MARKS = (65500, 65000, 60000, 50000, 40000, 32000, 30000, 20000, 10000, 9999)
 KNOWN_MARKS_M = (10.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0)
 # Marks beyond one another, such as a far plane and a value for the sky.
 _ROUNDS = 4
@@ -42,7 +40,7 @@ class DepthFileSettings(Settings):
         65.0, unit="m", source="65.535 m is the end of 16 bits of millimetres; no RGB-D sensor "
         "measures beyond 20 m",
     )  # fmt: skip
-    """no number beyond this is a measurement"""
+    """neither this distance nor one beyond is a measurement"""
     mark_share: float = limit(
         0.005, source="a wall that a sensor measures spreads over many numbers"
     )
@@ -53,6 +51,10 @@ class DepthFileSettings(Settings):
     """beyond this, any number that stands alone is a mark"""
     near_m: float = limit(0.05, unit="m", source="the range of RGB-D sensors begins at 0.1 m")
     """below this, any number that stands alone is a mark"""
+    round_mark_m: float = limit(
+        5.0, unit="m", source="40000 is a wall at 4 m where the unit is 0.1 mm, 65000 is none"
+    )
+    """a round number (`KNOWN_MARKS`) that is nearer may be a wall"""
     saturation: float = limit(20.0, source=NOT_RECORDED)
     """a known mark without a gap has this many times the pixels of the numbers below it"""
 
@@ -130,7 +132,7 @@ def read_foreign_depth(
         unit = missing.unit_of(stored)
         if unit is not None:
             with np.errstate(over="ignore"):
-                far = (stored > DepthFileSettings.current().farthest_m / unit) & ~empty
+                far = (stored >= DepthFileSettings.current().farthest_m / unit) & ~empty
             if far.any():
                 marks[float(stored[far].max())] = int(far.sum())
                 empty = empty | far
@@ -211,7 +213,7 @@ def frame_marks(values: NDArray[Any], unit: float | None) -> list[float]:
         top = values.max()
         below = values[values < top]
         count = values.size - below.size
-        if float(top) * unit <= limits.farthest_m:
+        if float(top) * unit < limits.farthest_m:
             if not _is_far_mark(top, count, total, below, unit, limits):
                 break
             found.append(float(top))
@@ -233,7 +235,8 @@ def _is_far_mark(
     if count <= limits.mark_share * total:
         return False
     value = float(top)
-    known = value in KNOWN_MARKS or (below.dtype.kind == "f" and value in KNOWN_MARKS_M)
+    is_round = value in KNOWN_MARKS and value * unit > limits.round_mark_m
+    known = value in FULL_SCALE or is_round or (below.dtype.kind == "f" and value in KNOWN_MARKS_M)
     farthest = float(below.max()) if below.size else 0.0
     if farthest * limits.gap <= value:
         return known or (below.size > 0 and value * unit > limits.far_m)

@@ -190,7 +190,7 @@ def survey_depth(
     if not metres.size:
         raise ToolkitError("no depth image has a measurement", path=where)
     median = _checked_median(metres * correction, missing, origin, chosen, where)
-    inside = metres[metres <= DepthFileSettings.current().farthest_m] * correction
+    inside = metres[metres < DepthFileSettings.current().farthest_m] * correction
     low, high = np.percentile(inside if inside.size else metres, (1, 99))
     return DepthSurvey(
         missing=missing,
@@ -264,7 +264,7 @@ def _measure(
             counts[mark] += int((values == mark).sum())
         rest = _positive(values, missing.values)
         metres = rest[:: max(1, rest.size // _PIXELS)].astype(np.float64) * unit
-        near = rest.astype(np.float64) * unit <= farthest
+        near = rest.astype(np.float64) * unit < farthest
         lone.update(lone_values(rest[near], unit))
         kept += int(near.sum())
         if (far := rest[~near]).size:
@@ -284,7 +284,7 @@ def _checked_median(
     where: Path | str,
 ) -> float:
     limits = DepthSurveySettings.current()
-    inside = metres[metres <= DepthFileSettings.current().farthest_m]
+    inside = metres[metres < DepthFileSettings.current().farthest_m]
     # Where nearly all is beyond any sensor, the unit is wrong, not the pixels.
     median = float(np.median(inside if inside.size > 0.1 * metres.size else metres))
     farthest = limits.guessed_m if origin == "guess" else limits.farthest_m

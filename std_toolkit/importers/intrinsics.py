@@ -47,7 +47,7 @@ def read_intrinsics(
             path=text,
             hint="give a file, or four numbers: --intrinsics fx,fy,cx,cy",
         )
-    found = filed_cameras(read_camera_document(path, size), path, size=size)
+    found = filed_cameras(read_camera_document(path, size), path, size=size, wanted=camera)
     return told(chosen_camera(found, path, camera), path)
 
 

@@ -48,11 +48,11 @@ def read_camera_document(path: Path, size: tuple[int, int] | None) -> Any:
         return _realsense_line(line)
     if start.startswith("<"):
         return _xml(text, path)
-    if start.startswith("{") or _is_json_list(start):
-        return read_json(path)
-    words = _bare_numbers(text)
-    if words:
+    # A matrix as Python prints it is no JSON.
+    if words := _bare_numbers(text):
         return words
+    if start.startswith("{") or _is_json_list(start):
+        return _numbered(read_json(path))
     if (rows := _colmap_rows(text)) is not None:
         return rows
     if _YAML_KEY.search(text):
@@ -128,8 +128,25 @@ def _values(words: list[str]) -> float | list[float]:
     return numbers if len(numbers) > 1 else numbers[0]
 
 
+def _numbered(value: Any) -> Any:
+    """The value with lists of numbers where it has text of several numbers."""
+    if isinstance(value, dict):
+        return {k: _numbered(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_numbered(v) for v in value]
+    found = _plain(value) if isinstance(value, str) else value
+    return found if isinstance(found, list) and len(found) > 3 else value
+
+
 def _plain(text: str) -> Any:
-    """A number, a list of numbers, or the text."""
+    """A number, a list of numbers, or the text, also where commas may be decimal ones."""
+    parts = [part.strip(",;[]") for part in text.split()]
+    if (
+        "." not in text
+        and any(re.search(r"\d,\d", p) for p in parts)
+        and all(p.count(",") < 2 for p in parts)
+    ):
+        return text.strip().strip("\"'")
     words = re.sub(r"[\[\],;]", " ", text).split()
     if words and all(_WORD.fullmatch(w) for w in words):
         return _values([w.lower().replace(".n", "n").replace(".i", "i") for w in words])
@@ -246,7 +263,7 @@ def _yaml_value(node: Any, path: Path) -> Any:
         return found
     text = str(node.value).strip()
     if node.style:  # in quotes
-        return text
+        return _numbered(text)
     if _WORD.fullmatch(text):
         return float(text.lower().replace(".n", "n").replace(".i", "i"))
     if text.lower() in ("null", "~", ""):

@@ -147,6 +147,8 @@ def _read_json(path: Path, document: Any) -> FiledCameras:
             for k, v in document.items()
         ]
         return _read_list(path, items, "")
+    if document is None:  # of an image that was lost
+        return _read_list(path, [None], "")
     if isinstance(document, list):
         if _is_numbers(document):
             document = [document]

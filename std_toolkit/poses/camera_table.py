@@ -22,6 +22,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.geometry.se3 import ROTATION_TOLERANCE, nearest_rotation, so3_exp
 from std_toolkit.io.foreign_files import csv_rows
+from std_toolkit.poses.pose_columns import columns_of_comment, plain_columns, without_frame_numbers
 from std_toolkit.settings import Settings, limit
 
 _KEYS = ("name", "image", "file", "filename", "file_path", "timestamp", "time", "frame", "id")
@@ -41,6 +42,10 @@ class CameraTableSettings(Settings):
         "2e-3 off, a scale of 1 % is 2e-2 off",
     )
     """largest entry of `R R^T - I` of a rotation R that is taken for one with rounding errors"""
+    largest_turn: float = limit(
+        6.3, unit="rad", source="a turn is 2 pi; angles in degrees are larger in most rows"
+    )
+    """longest rotation vector"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -222,7 +227,12 @@ def read_table(path: Path) -> FiledCameras:
         return _read_csv(path, [line for _, line in lines], rows[0][0])
     if len(first) == 1 and len(rows) > 1 and len(rows[1][1]) == 22:
         rows = rows[1:]
+    rows = without_frame_numbers(rows)
     widths = {len(words) for _, words in rows}
+    named = columns_of_comment(text, len(first)) if len(widths) == 1 else None
+    if named is not None and named[-7:] != ["x", "y", "z", "qx", "qy", "qz", "qw"]:
+        cells = [named, *(words for _, words in rows)]
+        return _read_csv(path, [",".join(c) for c in cells], rows[0][0] - 1)
     if widths == {4} and len(rows) == 3:
         M, is_lost = pose_or_lost(
             _numbers(path, [w for _, words in rows for w in words], "line 1"), path, ""
@@ -314,7 +324,7 @@ def _read_par(path: Path, rows: Rows) -> FiledCameras:
 def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
     delimiter = next((d for d in (",", ";", "\t") if d in lines[0]), " ")
     table = list(csv_rows(lines, path, first=first, delimiter=delimiter))
-    columns = [c.strip().lower() for c in table[0]]
+    columns = plain_columns(table[0])
     key = next((k for k in _KEYS if k in columns), None)
     position = next((p for p in _POSITIONS if set(p) <= set(columns)), None)
     matrix = set(_MATRIX[:12]) <= set(columns)
@@ -326,11 +336,12 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
         )  # fmt: skip
     used = _MATRIX[:12] if matrix else (*(position or ()), *(rotation or ()))
     matrices, keys = [], []
-    for i, cells in enumerate(table[1:], start=first + 1):
-        row, at = dict(zip(columns, cells, strict=False)), f"line {i}"
-        if all(not (row.get(c) or "").strip() for c in used):
+    for i, line in enumerate(table[1:], start=first + 1):
+        row, at = dict(zip(columns, line, strict=False)), f"line {i}"
+        cells = [row.get(c) or "" for c in used]
+        if all(c.strip().lower() in ("", "null", "none", "nan", "lost") for c in cells):
             continue  # a frame without a pose
-        values = _numbers(path, [row.get(c) or "" for c in used], at)
+        values = _numbers(path, cells, at)
         if _is_lost(values, rotation if not matrix else None):
             continue
         matrices.append(_csv_matrix(values, rotation if not matrix else None, path, at))
@@ -357,6 +368,11 @@ def _csv_matrix(
         return as_matrix(values, path, at)
     if rotation == _QUATERNION:
         return _from_quat(values[3:], values[:3], path, at)
+    if float(np.linalg.norm(values[3:])) > CameraTableSettings.current().largest_turn:
+        raise ToolkitError(
+            "a rotation vector is in radians", path=path, field=at, value=values[3:],
+            hint="are these degrees, or Euler angles? convert them",
+        )  # fmt: skip
     return SE3(so3_exp(values[3:]), np.array(values[:3])).matrix()
 
 

@@ -127,6 +127,13 @@ def test_beyond_the_fold_there_is_no_pixel_and_no_ray(
         assert np.isnan(camera.unproject(before + np.array([2.0, 0]))[:2]).all()
 
 
+@pytest.mark.parametrize("model", LENSES)
+def test_no_pixels_have_no_rays(model: str) -> None:
+    distortion = {"opencv": (-0.28, 0.07, 0.0, 0.0), "fisheye": (0.03, 0.0, 0.0, 0.0)}[model]
+    camera = Camera(64, 48, 60, 60, 31.5, 23.5, distortion, model)
+    assert camera.unproject(np.empty((0, 2))).shape == (0, 3)
+
+
 def test_a_fisheye_ends_at_a_right_angle() -> None:
     """A ray of 90 degrees has no point at z = 1; its pixel and those beyond have no ray."""
     camera = Camera(640, 480, 200, 200, 320, 240, (0.0,) * 4, "fisheye")

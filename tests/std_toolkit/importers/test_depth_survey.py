@@ -275,3 +275,23 @@ def test_a_folder_of_nocs_camera(tmp_path: Path) -> None:
     request = ImportRequest(source=tmp_path / "n", name="n", intrinsics="60,60,31.5,23.5")
     found = depth_of(import_recording(request, tmp_path / "scene", format_name="nocs"))
     assert (found == depth * np.float32(0.001)).all()
+
+
+@pytest.mark.parametrize(("unit", "number"), [(1e-4, 40_000), (1e-4, 30_000), (2e-4, 10_000)])
+def test_a_wall_at_a_round_number_is_a_wall(unit: float, number: int, tmp_path: Path) -> None:
+    depth = table(unit)
+    depth[:10] = number
+    found = recorded(tmp_path, depth, depth_scale=unit)
+    values = found.read_depth(found.frames[0])
+    assert values is not None
+    assert values[:10] == pytest.approx(number * unit)
+
+
+def test_65_metres_are_no_measurement_in_a_few_pixels_either(tmp_path: Path) -> None:
+    depth = table()
+    depth[0, :5] = 65_000
+    found = recorded(tmp_path, depth)
+    values = found.read_depth(found.frames[0])
+    assert values is not None
+    assert not values[0, :5].any()
+    assert (values[0, 5:] > 0).all()

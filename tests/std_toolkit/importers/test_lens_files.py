@@ -132,6 +132,21 @@ READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "byte order mark": ("\ufeff" + json.dumps(NUMBERS), "opencv", ()),
     "a device is no lens": (json.dumps({"K": K, "model": "Intel RealSense D435"}), "opencv", ()),
     "zeros say nothing": (json.dumps({"K": K, "my_distortion_thing": [0, 0, 0]}), "opencv", ()),
+    "a number of librealsense for its model": (json.dumps(
+        {**NUMBERS, "model": 5, "coeffs": [*KB4, 0]}), "fisheye", KB4),
+    "record3d, each frame": (json.dumps(
+        {"w": 64, "h": 48, "K": [60, 0, 0, 0, 60, 0, 31.5, 23.5, 1],
+         "perFrameIntrinsicCoeffs": [[60, 60, 31.5, 23.5]]}), "opencv", ()),
+    "matlab counts pixels from 1": (json.dumps(
+        {"IntrinsicMatrix": [[60, 0, 0], [0, 60, 0], [32.5, 24.5, 1]], "ImageSize": [48, 64],
+         "RadialDistortion": FIVE[:2], "TangentialDistortion": FIVE[2:4]}), "opencv", FOUR),
+    "numbers as text": (json.dumps({k: str(v) for k, v in {**NUMBERS, **NAMED}.items()}),
+                        "opencv", FIVE),
+    "a list as text": (
+        lines(**NUMBERS, dist='"-0.28, 0.07, 0.0002, 1.7e-05, 0.0"'), "opencv", FIVE),
+    "a print of numpy": (
+        "[[60.   0.  31.5]\n [ 0.  60.  23.5]\n [ 0.   0.   1. ]]\n", "opencv", ()),
+    "height before width": (json.dumps({**NUMBERS, "image_size": [48, 64]}), "opencv", ()),
     "distances are no distortion": (json.dumps({"K": K, "distance": 0.7, "max_dist": 3}),
                                     "opencv", ()),
 }  # fmt: skip
@@ -162,6 +177,23 @@ REFUSED: dict[str, tuple[str, str]] = {
     "nerfstudio's longer polynomial": (json.dumps(
         {**NUMBERS, "camera_model": "OPENCV", **FISH}), "k4"),
     "distorted, but how": (json.dumps({"K": K, "distorted": True}), "distorted"),
+    "a fisheye by number": (json.dumps({"K": K, "cameraType": 1, "distortionCoeff": FOUR}),
+                            "cameraType.*stated by a number"),
+    "a number of librealsense": (json.dumps({**NUMBERS, "model": 2, "coeffs": FIVE}),
+                                 "model.*inverse brown conrady"),
+    "polynomial of instant-ngp": (json.dumps({**NUMBERS, "ftheta_p0": 0.1}), "ftheta_p0"),
+    "latitude and longitude": (json.dumps({**NUMBERS, "latlong": True}), "latlong"),
+    "centre of distortion": (json.dumps({**NUMBERS, **NAMED, "codx": 0.1}), "codx"),
+    "two spellings": (json.dumps({"K": K, "k": FOUR}), "K and k differ only"),
+    "no matrix": (json.dumps({**NUMBERS, "k": FOUR}), "k: is no camera matrix beside fx"),
+    "decimal commas": (lines(**NUMBERS, dist='"-0,28, 0,07, 0,0002, 0,00002"'), "dist: looks like"),
+    "a lens in a section of its own": (json.dumps({"camera": NUMBERS, "optics": NAMED}), "optics"),
+    "numbers without names": (json.dumps({"K": K, "distortion": {"0": -0.28, "1": 0.07}}),
+                              "distortion: looks like"),
+    "that of another image": (json.dumps({"calibration": {"K": K}, "undistortion": NAMED}),
+                              "undistortion: looks like"),
+    "two lenses beside one camera": (json.dumps(
+        {"camera": {"K": K}, "a_dist": NAMED, "b_dist": {**NAMED, "k1": 0.1}}), "a_dist"),
     "two statements": (json.dumps({"K": K, "D": FIVE, "k1": 0.1}), "k1.*contradicts D"),
     "two lists": (json.dumps({"K": K, "D": FIVE, "dist": EIGHT}), "different distortions"),
     "tangential of a fisheye": (json.dumps(
@@ -198,6 +230,43 @@ def test_one_of_several_cameras(tmp_path: Path) -> None:
     assert (found.fx, found.distortion) == (61, FOUR)
 
 
+def test_other_cameras_may_have_any_lens(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    other = {**NUMBERS, "camera_model": "omni", "xi": 1.8}
+    path.write_text(json.dumps({"cam0": other, "cam1": {**NUMBERS, **NAMED}}))
+    assert read_intrinsics(str(path), camera="cam1").distortion == FIVE
+    for camera in (None, "cam0"):
+        with pytest.raises(ToolkitError, match=r"cam0.camera_model.*omni"):
+            read_intrinsics(str(path), camera=camera)
+
+
+def test_cameras_of_a_list_have_their_names(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    rows = [{"camera_id": n, **NUMBERS, "fx": fx} for n, fx in (("left", 60), ("right", 61))]
+    path.write_text(json.dumps({"cameras": rows}))
+    assert read_intrinsics(str(path), camera="right").fx == 61
+
+
+def test_each_camera_has_the_lens_of_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "zed.conf"
+    camera = "fx=60\nfy=60\ncx=31.5\ncy=23.5\n"
+    path.write_text(
+        f"[LEFT_CAM_HD]\n{camera}[RIGHT_CAM_HD]\n{camera}[LEFT_DISTO]\nk1=0.1\nk2=0\n"
+        "[RIGHT_DISTO]\nk1=-0.2\nk2=0\n"
+    )
+    for name, k1 in (("LEFT_CAM_HD", 0.1), ("RIGHT_CAM_HD", -0.2)):
+        assert read_intrinsics(str(path), camera=name).distortion == (k1, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "size", [{"image_size": [66, 50]}, {"resolution": "66x50"}, {"shape": [50, 66, 3]}]
+)
+def test_the_size_that_a_file_states(size: dict[str, object], tmp_path: Path) -> None:
+    path = tmp_path / "k.json"
+    path.write_text(json.dumps({**NUMBERS, **size}))
+    assert read_intrinsics(str(path)).size == (66, 50)
+
+
 def test_the_colour_camera_is_taken_of_colour_and_depth(tmp_path: Path) -> None:
     path = tmp_path / "both.json"
     path.write_text(json.dumps({"depth": {**NUMBERS, "fx": 57}, "color": NUMBERS}))
@@ -230,6 +299,10 @@ def test_what_was_read_is_said(
         ({"camera": {**NUMBERS, "scale": 6553.5}}, 1 / 6553.5),
         ({"K": K, "depth_scale": 1000}, 0.001),
         ({"K": K, "depth_scale": 0.00025}, 0.00025),
+        ({"K": K, "depth_scale": "0.00025"}, 0.00025),
+        ({"K": K, "depth_unit_scale_factor": 0.0002}, 0.0002),
+        ({"K": K, "depthShift": 4000}, 0.00025),
+        ({"color": NUMBERS, "depth": {**NUMBERS, "scale": 0.00025}}, 0.00025),
         ({"K": K, "scale": 1.0}, None),
         ({"K": K}, None),
     ],

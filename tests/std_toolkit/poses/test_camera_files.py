@@ -402,3 +402,50 @@ def test_images_with_different_intrinsics_have_no_common_camera(
     (tmp_path / "t.json").write_text(json.dumps(document))
     with pytest.raises(ToolkitError, match="different intrinsics"):
         read_cameras(tmp_path / "t.json").lens()
+
+
+POSE = SE3.from_quat((0.5, 0.1, 0.7, -0.5), (1.0, 2.0, 3.0))
+NAMED_COLUMNS = {
+    "a comment": "# timestamp tx ty tz qw qx qy qz\n7 {t} {wxyz}\n",
+    "euroc": "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],"
+    "q_RS_z [],v_RS_R_x [m s^-1]\n7 {t} {wxyz} 0.1\n",
+    "csv": "name,pos_x,pos_y,pos_z,q_w,q_x,q_y,q_z\n7 {t} {wxyz}\n",
+    "tum": "# timestamp tx ty tz qx qy qz qw\n7 {t} {xyzw}\n",
+    "tum, rotation first": "# time qx qy qz qw tx ty tz\n7 {xyzw} {t}\n",
+}
+
+
+@pytest.mark.parametrize("kind", NAMED_COLUMNS)
+def test_columns_that_are_named_in_any_order(kind: str, tmp_path: Path) -> None:
+    w, x, y, z = POSE.quat()
+    words = {"t": "1 2 3", "wxyz": f"{w} {x} {y} {z}", "xyzw": f"{x} {y} {z} {w}"}
+    head, row = NAMED_COLUMNS[kind].format(**words).splitlines()
+    row = row.replace(" ", ",") if "," in head else row
+    (tmp_path / "poses.csv").write_text(f"{head}\n{row}\n")
+    found = read_cameras(tmp_path / "poses.csv")
+    assert found.keys == ["7"]
+    np.testing.assert_allclose(found.matrices, [POSE.matrix()], atol=1e-12)
+
+
+def test_a_log_of_redwood(tmp_path: Path) -> None:
+    rows = "".join(" ".join(map(repr, map(float, row))) + "\n" for row in POSE.matrix())
+    (tmp_path / "trajectory.log").write_text(f"0 0 1\n{rows}1 1 2\n{rows}")
+    found = read_cameras(tmp_path / "trajectory.log")
+    np.testing.assert_allclose(found.matrices, 2 * [POSE.matrix()], atol=1e-12)
+
+
+def test_degrees_are_no_rotation_vector(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("name,x,y,z,rx,ry,rz\na,0,0,0,0,17,3\n")
+    with pytest.raises(ToolkitError, match=r"line 2: a rotation vector is in radians"):
+        read_cameras(tmp_path / "p.csv")
+
+
+def test_null_for_a_lost_image(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text(
+        "name,x,y,z,qw,qx,qy,qz\na,1,2,3,1,0,0,0\nb,null,null,null,null,null,null,null\n"
+    )
+    assert read_cameras(tmp_path / "p.csv").keys == ["a"]
+    (tmp_path / "poses").mkdir()
+    (tmp_path / "poses/0.json").write_text(json.dumps(POSE.matrix().tolist()))
+    (tmp_path / "poses/1.json").write_text("null")
+    assert read_cameras(tmp_path / "poses").lost == {1}
