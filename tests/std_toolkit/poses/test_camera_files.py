@@ -376,7 +376,7 @@ def test_bad_folders_give_one_line(scene: Scene, tmp_path: Path) -> None:
     broken.mkdir()
     for part in ("cameras", "images", "points3D"):
         (broken / f"{part}.bin").write_bytes(b"\x05\x00")
-    with pytest.raises(ToolkitError, match="cannot read the COLMAP model"):
+    with pytest.raises(ToolkitError, match="the COLMAP file is damaged"):
         read_cameras(broken)
     save_txt(empty / "1", np.eye(4))
     np.savetxt(empty / "2.txt", np.zeros((8, 4)))
