@@ -62,11 +62,13 @@ def names_of(document: str) -> Iterator[None]:
 _loaded_from: dict[str, str] = {}
 
 
-def error_of_plugin(error: BaseException) -> ToolkitError | None:
-    """The error to report for one that a plug-in raised, or that came while one was in use.
+def error_of_plugin(error: BaseException, *, in_use: bool = False) -> ToolkitError | None:
+    """The error to report for one that a plug-in raised.
 
     Args:
         error: unexpected, none of the toolkit's own.
+        in_use: whether the plug-in loaded last is named for an error that came without it, as one
+            may that its answers brought about.
 
     Returns:
         An error that names the file of the plug-in and the line; None without a plug-in.
@@ -80,6 +82,8 @@ def error_of_plugin(error: BaseException) -> ToolkitError | None:
             where = f"line {line}, {frame.f_code.co_name}"
             hint = "an error of the plug-in; --debug prints the traceback"
             return ToolkitError(text, path=frame.f_code.co_filename, field=where, hint=hint)
+    if not in_use:
+        return None
     file = list(_loaded_from.values())[-1]
     hint = "does the plug-in give what CONTRIBUTING.md says? --debug prints the traceback"
     return ToolkitError(text, path=file, hint=hint)

@@ -227,7 +227,7 @@ def exit_status(
 
 def _failure(error: BaseException, program: str, debug: bool) -> int:
     """Report an error in one line; raises it again if it is none of the command, or to debug it."""
-    plugin = error_of_plugin(error)
+    plugin = error_of_plugin(error, in_use=True)
     ends = not isinstance(error, Exception) and (plugin is None or plugin.field is None)
     if debug or isinstance(error, BrokenPipeError) or ends:
         raise error

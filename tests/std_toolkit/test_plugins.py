@@ -82,7 +82,8 @@ def test_an_error_of_a_plug_in_names_its_file_and_line(registry: Registry, tmp_p
     assert str(found).startswith(f"{file}: line 2, run: ZeroDivisionError: division by zero")
     with pytest.raises(TypeError) as raised_here:
         len(registry.get(f"{file}:odd")(0))
-    found = error_of_plugin(raised_here.value)
+    assert error_of_plugin(raised_here.value) is None
+    found = error_of_plugin(raised_here.value, in_use=True)
     assert found is not None
     assert str(file) in str(found) and "does the plug-in give what" in str(found)
 

@@ -70,6 +70,10 @@ class FrameMotionSettings(Settings):
     several frames elsewhere, as much is enough"""
     single: float = limit(1.5, source="a right frame of the real recording lies 4.9 mm off")
     """limits of the displacement that a single frame must exceed"""
+    returned: float = limit(
+        2.5, source="two right frames of the real recording lie 8.3 mm off; bumps of 15 mm count"
+    )
+    """the same for frames between others that agree: an object seldom returns to its place"""
     place_px: float = limit(20.0, unit="px", source="places this far apart are independent")
     """a far place is one of many: the needed gain grows with the places as near"""
     fewest_fits: float = limit(0.3, source="a label that fits in few frames is wrong itself")
@@ -302,11 +306,9 @@ class ObjectFrames:
         alone = len(inside) == 1
         if gain < needed or seen < (limits.seen if alone else min(limits.seen, self.weakest)):
             return None
-        if (
-            mm < self.smallest_mm * (limits.single if alone else 1.0)
-            or px < limits.shift_px
-            or mm < limits.deviations * std_mm
-        ):
+        returned = inside[0] > 0 and inside[-1] + 1 < len(self.frames)
+        least = limits.returned if returned else limits.single if alone else 1.0
+        if mm < self.smallest_mm * least or px < limits.shift_px or mm < limits.deviations * std_mm:
             return None
         ids = [f.frame for f in self.frames]
         first, last = inside[0], inside[-1]

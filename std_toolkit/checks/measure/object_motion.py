@@ -62,13 +62,13 @@ class ConfirmationSettings(Settings):
     """systematic part of the deviation of a size"""
     opaque_size_std: float = limit(0.004, source=NOT_RECORDED)
     """the same on other materials"""
-    size_share: float = limit(
-        0.07,
+    size_share: Mapping[str, float] = limit(
+        {"specular": 0.07, "transparent": 0.07},
         source="sizes 2 to 8 % off change the share by 0.09 to 0.45, shades and reflections "
         "that look like a size by up to 0.05",
     )
     """a mesh of the right size brings at least this share of the contour onto edges that a
-    wrong one leaves beside them"""
+    wrong one leaves beside them; by material, nothing on others"""
     missed_std: float = limit(0.12, source=NOT_RECORDED)
     """a contour that is not there counts where its support is known to this deviation"""
     absent_part: float = limit(
@@ -183,7 +183,7 @@ def moved_item(
     size_std = float(np.hypot(sized.size_std, floor))
     sized_beside = shared.beside(sized.errors)
     sized_support = pooled_support(equations, np.append(sized.vector, sized.size), sized_beside)
-    if sized_support.share - support.share < limits.size_share:
+    if sized_support.share - support.share < limits.size_share.get(item.material, 0.0):
         size_std = max(size_std, abs(sized.size))
     # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
     if abs(sized.size) > max(limits.noted_size, limits.size_deviations * size_std):

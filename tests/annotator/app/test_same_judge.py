@@ -141,7 +141,8 @@ def test_a_fresh_judgement_of_the_check_is_shown_and_a_stale_one_measured_again(
         assert object_verdict(c, name).grade == "fits"
     # A note and a nudge below a tenth of the deviation keep it, and nudges add up.
     c.apply(ChangeObject(object="mug", note="look again"))
-    nudge = Move(object="mug", frame=0, axes="camera", shift_mm=[0.03, 0, 0])
+    step = 0.06 * c.findings.judgements["mug"].judgement.deviation_mm
+    nudge = Move(object="mug", frame=0, axes="camera", shift_mm=[step, 0, 0])
     c.apply(nudge)
     assert object_verdict(c, "mug").grade == "fits"
     for _ in range(4):

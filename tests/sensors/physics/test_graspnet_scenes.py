@@ -93,7 +93,7 @@ def test_missing_parts_are_told(tmp_path: Path) -> None:
     with pytest.raises(ToolkitError, match="camera"):
         GraspNetScenes(tmp_path, camera="d415")
     scenes = GraspNetScenes(tmp_path)
-    with pytest.raises(ToolkitError, match="file not found"):
+    with pytest.raises(ToolkitError, match="No such file"):
         scenes.placed(7)
     with pytest.raises(ToolkitError, match="no camera pose"):
         scenes.placed(42, image=99)
