@@ -229,7 +229,8 @@ class ExportCommand:
     """scene folder"""
     format: str = field(metadata={"option": "format"})
     """std, bop, nocs or a plug-in"""
-    out: Path = field(metadata={"option": "out", "writes": Writes("new")})
+    # Its staging area takes an earlier export, too, to go on or to replace it.
+    out: Path = field(metadata={"option": "out", "writes": Writes("place")})
     """new output folder"""
     options: ExportOptions = field(default_factory=ExportOptions)
     jobs: JobOptions = field(default_factory=JobOptions)

@@ -227,8 +227,8 @@ def exit_status(
 
 def _failure(error: BaseException, program: str, debug: bool) -> int:
     """Report an error in one line; raises it again if it is none of the command, or to debug it."""
-    plugin = error_of_plugin(error, in_use=True)
-    ends = not isinstance(error, Exception) and (plugin is None or plugin.field is None)
+    plugin = error_of_plugin(error)
+    ends = not isinstance(error, Exception) and plugin is None
     if debug or isinstance(error, BrokenPipeError) or ends:
         raise error
     if isinstance(error, ToolkitError):
@@ -240,6 +240,8 @@ def _failure(error: BaseException, program: str, debug: bool) -> int:
         shown = f"{where}{error.strerror or error}"
     elif (outside := _outside_of_the_toolkit(error)) is not None:
         shown = outside
+    elif missing_extra(error) is None and (guess := error_of_plugin(error, in_use=True)):
+        shown = guess
     else:  # a bug in the toolkit: still one line, and how to get the traceback
         shown = missing_extra(error) or ToolkitError(
             f"unexpected {type(error).__name__}: {error}",

@@ -183,7 +183,7 @@ def moved_item(
     size_std = float(np.hypot(sized.size_std, floor))
     sized_beside = shared.beside(sized.errors)
     sized_support = pooled_support(equations, np.append(sized.vector, sized.size), sized_beside)
-    if sized_support.share - support.share < limits.size_share.get(item.material, 0.0):
+    if sized_support.share - support.share < limits.size_share.get(item.material, -np.inf):
         size_std = max(size_std, abs(sized.size))
     # A wrong size pulls the motion with it, and a size that is right leaves it as it is.
     if abs(sized.size) > max(limits.noted_size, limits.size_deviations * size_std):

@@ -79,8 +79,9 @@ def test_other_models_of_colmap_are_refused_by_name(model: str, tmp_path: Path) 
     image = pycolmap.Image(name="0.png", camera_id=1, image_id=1)
     scene.add_image_with_trivial_frame(image, to_rigid3d(SE3.identity()))
     scene.write(tmp_path)
-    with pytest.raises(ToolkitError, match=rf"{tmp_path.name}.*{model}"):
-        read_cameras(tmp_path)
+    # Only where no other intrinsics are given is that an error.
+    problem = str(read_cameras(tmp_path).lens_problem)
+    assert tmp_path.name in problem and model in problem
 
 
 def test_detected_blob_is_at_its_centre() -> None:

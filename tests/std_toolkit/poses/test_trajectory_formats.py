@@ -85,7 +85,7 @@ def test_colmap(scene: Scene, tmp_path: Path) -> None:
     p = T @ np.array([0.1, 0.2, 1.0])
     pixel = model.camera(image.camera_id).img_from_cam(image.cam_from_world() * p)
     assert np.allclose(pixel, CAMERA.project(np.array([0.1, 0.2, 1.0])) + 0.5, atol=1e-6)
-    with pytest.raises(ToolkitError, match="exists and is not empty"):
+    with pytest.raises(ToolkitError, match="the folder is not empty"):
         write_trajectory(scene, tmp_path / "model", format="colmap")
 
 

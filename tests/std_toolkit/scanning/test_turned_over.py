@@ -167,7 +167,7 @@ def folders(tmp_path: Path) -> ScanOptions:
 
 
 def test_a_photo_of_either_folder_is_named(tmp_path: Path) -> None:
-    options = folders(tmp_path)
+    options = replace(folders(tmp_path), board=tmp_path / "board.json")
     first, second = both_positions(replace(options, pick="3.jpg:1,2", box="photos/2.jpg:1,2,3,4"))
     assert (first.pick, first.box) == (None, "2.jpg:1,2,3,4")
     assert (second.pick, second.box) == ("3.jpg:1,2", None)
