@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.foreign_files import read_json, read_npy
+from std_toolkit.io.foreign_files import bounded_yaml_loader, read_json, read_npy
 from std_toolkit.io.regular import read_text
 
 _LARGEST_FILE = 1024 * 1024
@@ -79,7 +79,7 @@ def _bare_numbers(text: str) -> list[float]:
     words = re.sub(r"[\[\]]", " ", " ".join(lines)).split()
     if not words or not all(_WORD.fullmatch(w) for w in words):
         return []
-    return [float(w.lstrip("+").replace(".n", "n").replace(".i", "i")) for w in words]
+    return [_number(w) for w in words]
 
 
 def _colmap_rows(text: str) -> list[dict[str, Any]] | None:
@@ -123,8 +123,13 @@ def _labelled(text: str) -> dict[str, Any]:
     return found
 
 
+def _number(word: str) -> float:
+    """The number of a `_WORD`: YAML has `.nan` and `-.inf` for NaN and infinity."""
+    return float(word.lower().replace(".n", "n").replace(".i", "i"))
+
+
 def _values(words: list[str]) -> float | list[float]:
-    numbers = [float(w) for w in words]
+    numbers = [_number(w) for w in words]
     return numbers if len(numbers) > 1 else numbers[0]
 
 
@@ -149,7 +154,7 @@ def _plain(text: str) -> Any:
         return text.strip().strip("\"'")
     words = re.sub(r"[\[\],;]", " ", text).split()
     if words and all(_WORD.fullmatch(w) for w in words):
-        return _values([w.lower().replace(".n", "n").replace(".i", "i") for w in words])
+        return _values(words)
     return text.strip().strip("\"'")
 
 
@@ -219,20 +224,8 @@ def _yaml(text: str, path: Path) -> Any:
     text = _TIGHT.sub(r"\1: ", text)
     if "\t" in text:
         text = "\n".join(line.expandtabs(2) for line in text.splitlines()) + "\n"
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        depth = 0
-        for event in yaml.parse(text, Loader=loader):
-            at = f"line {event.start_mark.line + 1}"
-            if isinstance(event, yaml.AliasEvent):
-                raise ToolkitError(
-                    "YAML aliases are not read", path=path, field=at, value=f"*{event.anchor}",
-                    hint="write the value itself",
-                )  # fmt: skip
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > _DEEPEST:
-                raise ToolkitError(f"nested deeper than {_DEEPEST} levels", path=path, field=at)
+        loader = bounded_yaml_loader(text, path)
         nodes = [n for n in yaml.compose_all(text, Loader=loader) if n is not None]
         documents = [_yaml_value(n, path) for n in nodes]
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -265,7 +258,7 @@ def _yaml_value(node: Any, path: Path) -> Any:
     if node.style:  # in quotes
         return _numbered(text)
     if _WORD.fullmatch(text):
-        return float(text.lower().replace(".n", "n").replace(".i", "i"))
+        return _number(text)
     if text.lower() in ("null", "~", ""):
         return None
     return {"true": True, "false": False}.get(text.lower(), text)

@@ -235,25 +235,7 @@ def read_yaml(path: Path) -> Any:
 
     text = read_text(path, "YAML file", _LARGEST_YAML_BYTES)
     try:
-        depth = 0
-        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-        for event in yaml.parse(text, Loader=loader):
-            if isinstance(event, yaml.AliasEvent):
-                raise ToolkitError(
-                    "YAML aliases are not read",
-                    path=path,
-                    field=f"line {event.start_mark.line + 1}",
-                    value=f"*{event.anchor}",
-                    hint="write the value itself",
-                )
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > _DEEPEST_YAML:
-                raise ToolkitError(
-                    f"nested deeper than {_DEEPEST_YAML} levels",
-                    path=path,
-                    field=f"line {event.start_mark.line + 1}",
-                )
+        loader = bounded_yaml_loader(text, path)
         node = yaml.compose(text, Loader=loader)
         if node is not None:
             _refuse_twice(node, path)
@@ -264,6 +246,31 @@ def read_yaml(path: Path) -> Any:
     ) as error:
         line = " ".join(str(error).split())
         raise ToolkitError(f"not valid YAML: {line[:200]}", path=path) from error
+
+
+def bounded_yaml_loader(text: str, path: Path) -> Any:
+    """The loader for a YAML text that has no alias and is nested at most 40 levels deep.
+
+    Raises:
+        ToolkitError: an alias, or deeper nesting; names the line.
+        yaml.YAMLError: not YAML.
+    """
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    depth = 0
+    for event in yaml.parse(text, Loader=loader):
+        at = f"line {event.start_mark.line + 1}"
+        if isinstance(event, yaml.AliasEvent):
+            raise ToolkitError(
+                "YAML aliases are not read", path=path, field=at, value=f"*{event.anchor}",
+                hint="write the value itself",
+            )  # fmt: skip
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST_YAML:
+            raise ToolkitError(f"nested deeper than {_DEEPEST_YAML} levels", path=path, field=at)
+    return loader
 
 
 def _refuse_twice(node: Any, path: Path) -> None:
