@@ -30,7 +30,7 @@ def store_judgements(scene: Scene, report: CheckReport) -> None:
     """
     inputs = judgement_inputs(scene)
     rows = {item.object: item for item in report.objects}
-    now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    now = utc_now()
     labels = []
     for label in scene.labels.labels:
         item = rows.get(label.object)
@@ -40,6 +40,11 @@ def store_judgements(scene: Scene, report: CheckReport) -> None:
         labels.append(msgspec.structs.replace(label, judgement=_kept(label, judgement)))
     if labels != scene.labels.labels:
         scene.save_labels(Labels(labels=labels))
+
+
+def utc_now() -> str:
+    """The time of a judgement that is made now, UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
 def judgement_of(

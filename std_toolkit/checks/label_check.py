@@ -10,13 +10,12 @@ import threading
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from std_toolkit.checks.gates.judge import judge_scene
-from std_toolkit.checks.judgements import judgement_of
+from std_toolkit.checks.judgements import judgement_of, utc_now
 from std_toolkit.checks.measure.contours import LabelCaster
 from std_toolkit.checks.measure.coverage import scene_up, spread
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame
@@ -145,7 +144,7 @@ class LabelCheck:
             only=objects,
         )
         inputs = judgement_inputs(scene)
-        now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+        now = utc_now()
         found = {}
         for item in report.objects:
             label = scene.labels.of(item.object)

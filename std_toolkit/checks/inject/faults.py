@@ -13,6 +13,7 @@ from std_toolkit.checks.detectability import FaultName
 from std_toolkit.checks.measure.contours import object_centre
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.se3 import so3_exp
+from std_toolkit.geometry.turned_surface import turn_about
 from std_toolkit.scene import CameraPoses, Frame, ObjectTable, Scene
 from std_toolkit.scene.memory_scene import MemoryScene
 from std_toolkit.scene.model import Label, pose_from_list
@@ -180,8 +181,7 @@ def _world_change(scene: Scene, fault: Fault) -> SE3:
         return SE3(np.eye(3), fault.size / 1000 * direction)
     axis = fault.sideways if fault.name == "tilt" else np.array(fault.up)
     R = so3_exp(np.deg2rad(fault.size) * axis)
-    centre = object_centre(scene, fault.object)
-    return SE3(R, centre - R @ centre)
+    return turn_about(object_centre(scene, fault.object), R)
 
 
 def _displaced(scene: Scene, label: Label, change: SE3) -> Label:

@@ -71,10 +71,7 @@ def scene_up(poses: list[SE3], points: Array | None) -> Array:
     """
     if not poses:
         return np.array([0.0, -1.0, 0.0])
-    held = np.mean([T.R @ [0.0, -1.0, 0.0] for T in poses], axis=0)
-    held = held / max(float(np.linalg.norm(held)), 1e-9)
-    # The normal of a table seen from above is between the cameras' up and backward directions.
-    back = np.mean([T.R @ [0.0, 0.0, -1.0] for T in poses], axis=0)
+    held = _mean_direction(poses, [0.0, -1.0, 0.0])
     if points is None or len(points) < 100:
         return held
     normal = _plane_normal(points)
@@ -83,9 +80,28 @@ def scene_up(poses: list[SE3], points: Array | None) -> Array:
     centre = np.median(points, axis=0)
     towards = np.mean([T.t for T in poses], axis=0) - centre
     normal = normal if normal @ towards > 0 else -normal
-    expected = held + back / max(float(np.linalg.norm(back)), 1e-9)
-    expected = expected / max(float(np.linalg.norm(expected)), 1e-9)
-    return normal if normal @ expected > np.cos(np.deg2rad(50)) else held
+    return normal if normal @ seen_from_above(poses) > np.cos(np.deg2rad(50)) else held
+
+
+def seen_from_above(poses: Sequence[SE3]) -> Array:
+    """Where the normal of a table is, (3,), if it is seen from above.
+
+    That is between the cameras' up and backward directions.
+
+    Args:
+        poses: T_world_cam, at least one.
+    """
+    up, back = (_mean_direction(poses, d) for d in ([0.0, -1.0, 0.0], [0.0, 0.0, -1.0]))
+    return _unit(up + back)
+
+
+def _mean_direction(poses: Sequence[SE3], direction: list[float]) -> Array:
+    """Mean over the cameras of a direction in their frames, as a unit vector in the world."""
+    return _unit(np.mean([T.R @ direction for T in poses], axis=0))
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 def directions(

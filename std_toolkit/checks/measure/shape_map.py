@@ -17,13 +17,14 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from std_toolkit.arrays import Array
-from std_toolkit.checks.measure.contours import LabelCaster
+from std_toolkit.checks.measure.contours import LabelCaster, object_centre
 from std_toolkit.checks.measure.coverage import spread
 from std_toolkit.checks.measure.edges import edge_peaks, noise_level, read_profiles, smooth_image
 from std_toolkit.checks.measure.residuals import render_view
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.geometry.mesh import decimate_mesh, mesh_bounds
+from std_toolkit.geometry.turned_surface import turn_about
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.memory_scene import MemoryScene
@@ -140,10 +141,8 @@ def _at(scene: Scene, object_id: int, motion: Array) -> MemoryScene:
     label = scene.labels.of(object_id)
     assert label is not None and label.T_world_obj is not None
     T = pose_from_list(label.T_world_obj)
-    low, high = mesh_bounds(scene.mesh(scene.objects.object(object_id).model))
-    centre = T @ ((low + high) / 2)
-    R = so3_exp(np.deg2rad(motion[3:]))
-    change = SE3(R, centre - R @ centre + motion[:3] / 1000)
+    turn = turn_about(object_centre(scene, object_id), so3_exp(np.deg2rad(motion[3:])))
+    change = SE3(turn.R, turn.t + motion[:3] / 1000)
     moved = msgspec.structs.replace(label, T_world_obj=(change @ T).flat())
     return MemoryScene(scene, labels=scene.labels.with_label(moved))
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
+from std_toolkit.checks.measure.coverage import seen_from_above
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.checks.result import ObjectCheck, Value
 from std_toolkit.geometry import SE3
@@ -117,7 +118,7 @@ class Standing:
         self._planes: list[tuple[int, Array, frozenset[int]]] = []
         limits = StandingCheckSettings.current()
         seen_from = np.array([T.t for T in cameras]).reshape(-1, 3)
-        likely = [up, *_between(cameras)]
+        likely = [up, *([seen_from_above(cameras)] if cameras else [])]
         for i, obj in placed.items():
             normals = -(obj.T_frame_obj.R @ obj.solid.resting.down.T).T
             near = np.max([normals @ u for u in likely], axis=0)
@@ -182,17 +183,6 @@ class Standing:
         spread = max(limits.uneven_m, float(np.std(heights)))
         std = float(spread / np.sqrt(len(feet)))
         return _Plane(normal, float(np.median(heights)), std, len(feet))
-
-
-def _between(cameras: Sequence[SE3]) -> list[Array]:
-    """(3,) the middle between the cameras' up and backward directions: up for a view from above."""
-    if not cameras:
-        return []
-    up, back = (np.mean([T.R @ d for T in cameras], axis=0) for d in ([0, -1, 0], [0, 0, -1]))
-    middle = up / max(float(np.linalg.norm(up)), 1e-9) + back / max(
-        float(np.linalg.norm(back)), 1e-9
-    )
-    return [middle / max(float(np.linalg.norm(middle)), 1e-9)]
 
 
 def standing_of(scene: Scene, objects: Sequence[ObjectCheck], up: Array) -> Standing:
