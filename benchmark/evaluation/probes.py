@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import BACKGROUND, DepthFrame, Material, Size, T, resize_nearest
 from benchmark.evaluation.frames import restore_views
 from benchmark.methods.depth.filling.filler import fill_nearest
-from benchmark.methods.depth.full_size import restorer_view, to_full_size
+from benchmark.methods.depth.full_size import restorer_view, to_full_size, working_size
 from benchmark.methods.protocol import Restored, Restorer, View
 from benchmark.metrics.depth import harm, holes, trust
 from benchmark.metrics.protocols.protocol import HARD, Protocol, Subset
@@ -61,9 +61,10 @@ def seen_size(restorer: Restorer, frame: DepthFrame, protocol: Protocol) -> Size
     The sensor's, as `std-restore` writes it, for a method with an image size of its own; others,
     saved depth too, answer at the size of their view.
     """
-    if restorer.input_size is None:
+    sensor = frame.depth_raw.shape[1], frame.depth_raw.shape[0]
+    if working_size(restorer, sensor) is None:
         return protocol.view_size or frame.camera.size
-    return frame.depth_raw.shape[1], frame.depth_raw.shape[0]
+    return sensor
 
 
 def as_seen(
@@ -83,7 +84,7 @@ def as_seen(
     if isinstance(answer, str):
         return np.zeros_like(sensor)
     size = (sensor.shape[1], sensor.shape[0])
-    if restorer.input_size is None:
+    if working_size(restorer, size) is None:
         found = _at(answer.depth, size)
         return np.where(np.isfinite(found) & (found > 0), found, 0).astype(np.float32)
     if (color.shape[1], color.shape[0]) != size:
