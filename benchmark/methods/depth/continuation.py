@@ -1,10 +1,12 @@
-"""Continuation of the trusted depth into holes, as a layer of networks.
+"""Continuation of the trusted depth into holes, as a layer of networks and in augmentation.
 
 The inverse depth of a plane is linear in the image, so that a harmonic function continues a table
 exactly. It is found from coarse to fine: at each level the unknown pixels begin at the coarser
 level's values and become means of their neighbours a few times (Jacobi's method). What is continued
 so is the difference from the plane that most of the image lies on, which goes on beyond the border.
 """
+
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -32,24 +34,40 @@ def continued(depth: Tensor, weight: Tensor) -> Tensor:
     weight = weight * measured
     inverse = measured / depth.clamp(min=_SMALL)
     plane = main_plane(inverse, weight)
-    inverse = inverse - plane
-    values, weights = [inverse * weight], [weight]
-    while max(values[-1].shape[-2:]) > 1:
-        values.append(avg_pool2d(values[-1], 2, ceil_mode=True, count_include_pad=False))
-        weights.append(avg_pool2d(weights[-1], 2, ceil_mode=True, count_include_pad=False))
-    found = torch.zeros_like(values[-1])
-    for value, sure in zip(reversed(values), reversed(weights), strict=True):
-        found = interpolate(found, size=value.shape[-2:], mode="bilinear", align_corners=False)
-        # A pixel of a coarse level is known as far as its part of the image is.
-        share = sure / (sure + _SMALL)
-        known = value / (sure + _SMALL)
-        found = share * known + (1 - share) * found
-        if max(value.shape[-2:]) > 2:
-            for _ in range(_ROUNDS):
-                found = share * known + (1 - share) * _around(found)
+    # A pixel of a coarse level is known as far as its part of the image is.
+    found = relaxed(inverse - plane, weight, lambda sure: sure / (sure + _SMALL), _ROUNDS)
     # Where the plane comes near its horizon the image is at most four times as far as its mean.
     least = 0.25 / mean_depth(depth)
     return 1 / torch.maximum(found + plane, least)
+
+
+def relaxed(
+    values: Tensor, weight: Tensor, known: Callable[[Tensor], Tensor], rounds: int
+) -> Tensor:
+    """(b, 1, h, w) values continued harmonically: unknown pixels are means of their neighbours.
+
+    Weighted means at half the size, and so on down to one pixel; back up, each size begins with the
+    coarser solution and is relaxed.
+
+    Args:
+        values: (b, 1, h, w).
+        weight: (b, 1, h, w), 0 where a value is unknown; an image of weight 0 has the value 0.
+        known: share, 0 to 1, in which a pixel keeps its own value, from its weight.
+        rounds: of averaging at each size.
+    """
+    levels = [(values * weight, weight)]
+    while max(levels[-1][0].shape[-2:]) > 1:
+        total, weight = (avg_pool2d(image, 2, ceil_mode=True) for image in levels[-1])
+        levels.append((total, weight))
+    found = torch.zeros_like(levels[-1][0])
+    for total, weight in reversed(levels):
+        found = interpolate(found, size=total.shape[-2:], mode="bilinear", align_corners=False)
+        share, own = known(weight), total / weight.clamp(min=_SMALL)
+        found = share * own + (1 - share) * found
+        if max(total.shape[-2:]) > 1:
+            for _ in range(rounds):
+                found = share * own + (1 - share) * _around(found)
+    return found
 
 
 def main_plane(inverse: Tensor, weight: Tensor) -> Tensor:

@@ -8,9 +8,10 @@ measured.
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate, pad
+from torch.nn.functional import avg_pool2d, interpolate
 
 from benchmark.data.frame import BACKGROUND, Material
+from benchmark.methods.depth.continuation import relaxed
 from benchmark.metrics.depth.figures import CLOSE_M, CLOSE_SHARE
 from benchmark.training.augmentation.holes import smooth_field
 from benchmark.training.step import ModelInput, made_of
@@ -265,9 +266,6 @@ def continued(depth: Tensor, known: Tensor) -> Tensor:
 def continued_field(values: Tensor, known: Tensor) -> Tensor:
     """Values continued harmonically (their Laplacian is 0) from known pixels into all others.
 
-    Means of known pixels at half the size, and so on down to one pixel; back up, each size begins
-    with the coarser solution and is relaxed a few times.
-
     Args:
         values: (b, h, w).
         known: (b, h, w) bool.
@@ -276,20 +274,4 @@ def continued_field(values: Tensor, known: Tensor) -> Tensor:
         (b, h, w); values unchanged at known pixels, 0 in frames without any.
     """
     weight = known.to(values.dtype)[:, None]
-    levels = [(values[:, None] * weight, weight)]
-    while max(levels[-1][0].shape[2:]) > 1:
-        levels.append(tuple(avg_pool2d(x, 2, ceil_mode=True) for x in levels[-1]))  # type: ignore[arg-type]
-    total, weight = levels[-1]
-    found = total / weight.clamp(min=1e-6)
-    for total, weight in reversed(levels[:-1]):
-        finer = interpolate(found, total.shape[2:], mode="bilinear", align_corners=False)
-        fixed = weight > 0
-        own = total / weight.clamp(min=1e-6)
-        found = torch.where(fixed, own, finer)
-        for _ in range(_SWEEPS):
-            wide = pad(found, (1, 1, 1, 1), mode="replicate")
-            around = wide[..., 2:, 1:-1] + wide[..., :-2, 1:-1]
-            around += wide[..., 1:-1, 2:]
-            around += wide[..., 1:-1, :-2]
-            found = torch.where(fixed, own, around.mul_(0.25))
-    return found[:, 0]
+    return relaxed(values[:, None], weight, lambda sure: (sure > 0).to(sure.dtype), _SWEEPS)[:, 0]
