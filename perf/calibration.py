@@ -12,11 +12,9 @@ lies within the limits against the share that does, in ten bins. Set limits with
 
 from __future__ import annotations
 
-import argparse
-import csv
 import sys
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -27,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/std_toolk
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from fault_table import FaultCase, Study
-from world import KINDS
+from world import run_worlds, world_options
 
 from sensors.synthetic.world_faults import label_faults
-from sensors.synthetic.world_scene import World, draw_world, world_cache
+from sensors.synthetic.world_scene import World
 from std_toolkit.arrays import Array
 from std_toolkit.checks.inject.faults import Fault, apply_fault
 from std_toolkit.checks.measure.contours import object_centre
@@ -39,7 +37,6 @@ from std_toolkit.geometry import so3_log
 from std_toolkit.geometry.mesh import hull_vertices
 from std_toolkit.geometry.symmetry import nearest_variant
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.scene import Scene
 
 SMALL_MM, SMALL_DEG = 0.5, 0.3
@@ -212,16 +209,7 @@ def print_tables(rows: Sequence[Row]) -> None:
     print(f"expected calibration error {100 * error:.1f} %")
 
 
-def write_csv(path: Path, rows: Iterable[Row]) -> None:
-    """One line per row; the whitened errors are separated by blanks."""
-    with path.open("w", newline="") as file:
-        table = csv.DictWriter(file, [f.name for f in fields(Row)], lineterminator="\n")
-        table.writeheader()
-        for row in rows:
-            table.writerow({**asdict(row), "z": " ".join(f"{z:.3f}" for z in row.z)})
-
-
-def _measured(work: Path, looks: Sequence[str], world: World) -> list[Row]:
+def _measured(looks: Sequence[str], work: Path, world: World) -> list[Row]:
     path = work / f"{world.seed:05d}_{'_'.join(sorted(looks))}.json"
     if not path.is_file():
         write_bytes_atomic(path, msgspec.json.encode(measure(world, looks)))
@@ -231,41 +219,10 @@ def _measured(work: Path, looks: Sequence[str], world: World) -> list[Row]:
 
 def main() -> int:
     """Measure, print the tables. Exit status 1: a scene could not be measured."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seeds", default="300:316", help="first:end")
-    parser.add_argument("--kinds", choices=tuple(KINDS), default="judging")
-    parser.add_argument("--frames", type=int, default=8)
+    parser = world_options(__doc__, "300:316")
     parser.add_argument("--looks", choices=LOOKS, nargs="+", default=list(LOOKS))
-    parser.add_argument(
-        "--work",
-        type=Path,
-        help="folder that keeps finished scenes' rows; another check needs another one",
-    )
-    parser.add_argument("--csv", type=Path, help="write all rows to this file")
-    parser.add_argument("--workers", type=int, default=1, help="scenes measured at a time")
     args = parser.parse_args()
-    first, _, end = args.seeds.partition(":")
-    work = args.work or world_cache().with_name("calibration-rows")
-    work.mkdir(parents=True, exist_ok=True)
-    worlds = [
-        draw_world(s, KINDS[args.kinds], frames=args.frames) for s in range(int(first), int(end))
-    ]
-    options = JobOptions(engine="serial") if args.workers < 2 else JobOptions(workers=args.workers)
-    done = run_jobs(
-        partial(_measured, work, args.looks),
-        worlds,
-        name="calibration",
-        key=lambda world: str(world.seed),
-        options=options,
-    )
-    rows = [row for found in done.results.values() for row in found]
-    if rows:
-        print_tables(rows)
-    if args.csv:
-        write_csv(args.csv, rows)
-    for seed, problem in done.failed.items():
-        print(f"seed {seed}: {problem}", file=sys.stderr)
-    return 1 if done.failed else 0
+    return run_worlds(args, "calibration", partial(_measured, args.looks), print_tables)
 
 
 if __name__ == "__main__":

@@ -22,11 +22,11 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -295,52 +295,83 @@ def _caught(rows: list[Row]) -> str:
     return f"{_share(rows, WRONG):.0%} / {_share(rows, FITS):.0%} of {len(rows)}"
 
 
-def write_csv(path: Path, rows: Iterable[Row]) -> None:
-    """One line per row; the whitened errors are separated by blanks."""
+def write_csv(path: Path, rows: Sequence[Any]) -> None:
+    """One line per row, a dataclass with `z`: whitened errors, which are separated by blanks."""
     with path.open("w", newline="") as file:
-        table = csv.DictWriter(file, [f.name for f in fields(Row)], lineterminator="\n")
+        table = csv.DictWriter(file, [f.name for f in fields(rows[0])], lineterminator="\n")
         table.writeheader()
         for row in rows:
             table.writerow({**asdict(row), "z": " ".join(f"{z:.3f}" for z in row.z)})
 
 
-def main() -> int:
-    """Measure what is missing, print the tables. Exit status 1: a scene could not be measured."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seeds", default="0:10", help="first:end")
+def world_options(text: str | None, seeds: str) -> argparse.ArgumentParser:
+    """The options of a measurement of scenes; `text` is the docstring of its module."""
+    parser = argparse.ArgumentParser(description=(text or "").partition("\n")[0])
+    parser.add_argument("--seeds", default=seeds, help="first:end")
     parser.add_argument("--kinds", choices=tuple(KINDS), default="judging")
     parser.add_argument("--frames", type=int, default=8)
-    parser.add_argument("--faults", type=int, default=-1, help="so many of each object; -1: all")
-    parser.add_argument("--no-refine", action="store_true", help="do not refine labels")
-    parser.add_argument("--work", type=Path, help="folder that keeps finished scenes' rows")
+    parser.add_argument(
+        "--work",
+        type=Path,
+        help="folder that keeps finished scenes' rows; another check needs another one",
+    )
     parser.add_argument("--csv", type=Path, help="write all rows to this file")
     parser.add_argument("--workers", type=int, default=1, help="scenes measured at a time")
-    args = parser.parse_args()
+    return parser
+
+
+def run_worlds(
+    args: argparse.Namespace,
+    name: str,
+    measure: Callable[[Path, World], list[Any]],
+    show: Callable[[list[Any]], None],
+) -> int:
+    """Measure the scenes of the options, show and write the rows.
+
+    Args:
+        args: of `world_options`.
+        name: of the measurement; its folder of rows is called so.
+        measure: the rows of a scene, from the folder of rows and the scene.
+        show: prints the tables.
+
+    Returns:
+        Exit status 1 if a scene could not be measured.
+    """
     first, _, end = args.seeds.partition(":")
-    work = args.work or world_cache().with_name("world-rows")
+    work = args.work or world_cache().with_name(f"{name}-rows")
     work.mkdir(parents=True, exist_ok=True)
     worlds = [
         draw_world(s, KINDS[args.kinds], frames=args.frames) for s in range(int(first), int(end))
     ]
     options = JobOptions(engine="serial") if args.workers < 2 else JobOptions(workers=args.workers)
     done = run_jobs(
-        partial(_rows_of, work, args.faults, not args.no_refine),
+        partial(measure, work),
         worlds,
-        name="world",
+        name=name,
         key=lambda world: str(world.seed),
         options=options,
     )
     rows = [row for found in done.results.values() for row in found]
     if rows:
-        print_tables(rows)
-    if args.csv:
-        write_csv(args.csv, rows)
+        show(rows)
+        if args.csv:
+            write_csv(args.csv, rows)
     for seed, problem in done.failed.items():
         print(f"seed {seed}: {problem}", file=sys.stderr)
     return 1 if done.failed else 0
 
 
-def _rows_of(work: Path, faults: int, refine: bool, world: World) -> list[Row]:
+def main() -> int:
+    """Measure what is missing, print the tables. Exit status 1: a scene could not be measured."""
+    parser = world_options(__doc__, "0:10")
+    parser.add_argument("--faults", type=int, default=-1, help="so many of each object; -1: all")
+    parser.add_argument("--no-refine", action="store_true", help="do not refine labels")
+    args = parser.parse_args()
+    measure = partial(_rows_of, args.faults, not args.no_refine)
+    return run_worlds(args, "world", measure, print_tables)
+
+
+def _rows_of(faults: int, refine: bool, work: Path, world: World) -> list[Row]:
     return measured(work, world, faults, refine)
 
 
