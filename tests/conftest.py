@@ -105,6 +105,14 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
 
+@pytest.fixture(autouse=True)
+def no_plugins_of_other_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors name the plug-in that is in use, and a command is a process of its own."""
+    from std_toolkit import plugins
+
+    monkeypatch.setattr(plugins, "_loaded_from", {})
+
+
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
     """Makes a folder that all processes of a run of the tests share, when the first asks for it.

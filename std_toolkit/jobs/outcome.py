@@ -34,7 +34,7 @@ def worker_died() -> Outcome[Any]:
 
 def error_of(error: BaseException) -> Outcome[Any]:
     """The outcome of an item that raised `error`."""
-    error = missing_extra(error) or error_of_plugin(error) or error
+    error = missing_extra(error) or error_of_plugin(error, in_use=True) or error
     if isinstance(error, ToolkitError):
         return Outcome(error=str(error))
     return Outcome(error=f"{type(error).__name__}: {' '.join(str(error).split())[:500]}")
