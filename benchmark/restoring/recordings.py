@@ -1,18 +1,14 @@
 """Frames of a recording: scenes, folders of images, data sets, files of ROS and librealsense."""
 
-import logging
-import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.restoring.kept_scenes import imported_scene, unpacked_scene
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, Undistortion
 from std_toolkit.importers.depth_files import DEPTH_SUFFIXES, Missing, read_foreign_depth
@@ -24,7 +20,6 @@ from std_toolkit.importers.depth_survey import (
     with_unit_asked,
 )
 from std_toolkit.importers.foreign_files import is_ros_recording
-from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import (
     Recording,
     SourceFile,
@@ -33,10 +28,7 @@ from std_toolkit.importers.importer import (
 )
 from std_toolkit.importers.intrinsics import parse_distortion, read_intrinsics, with_distortion
 from std_toolkit.importers.options import ImageOptions, ImportRequest, check_depth_numbers
-from std_toolkit.io.atomic import hold_lock
-from std_toolkit.io.documents import digest_file, digest_files, digest_of, write_document
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color
-from std_toolkit.jobs.artefact import Artefact, Record
 from std_toolkit.log import logger
 from std_toolkit.scene.document import safe_name
 
@@ -157,14 +149,14 @@ def _recording(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
     if not source.exists():
         raise ToolkitError("no such file or folder", path=source)
     if is_ros_recording(source):
-        return _of_scene(_imported(source, images, out), source)  # undistorted by the import
+        return _of_scene(imported_scene(source, images, out), source)  # undistorted by the import
     return _undistorted(_folder_or_file(source, images, out), images)
 
 
 def _folder_or_file(source: Path, images: ImageOptions, out: Path) -> RecordingFiles:
     if source.is_file() and source.suffix.lower() in _OF_LIBREALSENSE:
         _refuse_options(images, source)
-        return _of_scene(_unpacked(source, out), source)
+        return _of_scene(unpacked_scene(source, out), source)
     if source.is_file():
         raise ToolkitError(
             "not a recording that std-restore reads",
@@ -329,81 +321,6 @@ def _of_scene(root: Path, source: Path) -> RecordingFiles:
             if f.depth is not None
         ),
     )
-
-
-def _imported(source: Path, images: ImageOptions, out: Path) -> Path:
-    """The scene that `std-curate import` makes of a recording of ROS."""
-
-    def make(scene: Path) -> None:
-        request = ImportRequest(source=source, name=scene.name, **vars(images))
-        import_recording(request, scene, format_name="ros")
-
-    inputs = {"recording": _digest(source)}
-    given = Path(images.intrinsics) if images.intrinsics else None
-    if given is not None and given.is_file():
-        inputs["intrinsics"] = digest_file(given)
-    view = "" if images.undistort_fov is None else f"-fov{images.undistort_fov:g}"
-    scene = out / "recordings" / safe_name(source.stem + view)
-    return _kept_scene(scene, inputs, asdict(images), make)
-
-
-def _unpacked(source: Path, out: Path) -> Path:
-    """The scene that `std-record` makes of a file."""
-
-    def make(scene: Path) -> None:
-        unfinished = scene.with_name(f".{scene.name}.unfinished")
-        shutil.rmtree(unfinished, ignore_errors=True)
-        unfinished.parent.mkdir(parents=True, exist_ok=True)
-        # A program of another package is called, not imported: the benchmark knows no camera.
-        words = ["-m", "std_toolkit.cli.programs", "std-record"]
-        words += [str(unfinished), "--name", scene.name, "--from"]
-        done = subprocess.run(
-            [sys.executable, *words, str(source)], capture_output=True, text=True, check=False
-        )
-        if done.returncode != 0:
-            shutil.rmtree(unfinished, ignore_errors=True)
-            lines = [line for line in done.stderr.splitlines() if line.strip()]
-            raise ToolkitError(
-                f"std-record cannot read it: {lines[-1].removeprefix('error: ') if lines else ''}",
-                path=source,
-            )
-        unfinished.rename(scene)
-
-    scene = out / "recordings" / safe_name(source.stem)
-    return _kept_scene(scene, {"recording": digest_file(source)}, {}, make)
-
-
-def _kept_scene(
-    scene: Path,
-    inputs: Mapping[str, str],
-    options: Mapping[str, Any],
-    make: Callable[[Path], None],
-) -> Path:
-    """A scene made of a file, made again if the file or an option changed.
-
-    Raises:
-        ToolkitError: the file cannot be read, or the scene is another process's or a link.
-    """
-    out = scene.parent.parent
-    out.mkdir(parents=True, exist_ok=True)
-    with hold_lock(out, "recordings", doing="writing to", what="folder", wait=True):
-        record = scene.with_name(f".{scene.name}.json")
-        artefact = Artefact(scene, scene.name, inputs, options)
-        if artefact.find(record, Record, logging.INFO) is None:
-            record.unlink(missing_ok=True)
-            shutil.rmtree(scene, ignore_errors=True)
-            make(scene)
-            made = [p for p in scene.rglob("*") if p.is_file() and ".std" not in p.parts]
-            write_document(record, artefact.record(made))
-    return scene
-
-
-def _digest(source: Path) -> str:
-    """Digest of a file, or of all files of a folder by their names."""
-    if source.is_file():
-        return digest_file(source)
-    files = sorted(p for p in source.rglob("*") if p.is_file())
-    return digest_of(digest_files(source, files), versioned=False)
 
 
 def _refuse_options(images: ImageOptions, source: Path) -> None:
