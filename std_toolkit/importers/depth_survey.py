@@ -1,7 +1,7 @@
 """What the depth images of a recording say: median, range, unit, and what means "nothing".
 
 A few frames are read before all are written. A unit that is only guessed must give plausible
-distances; a unit that the user states is never questioned.
+distances; a unit that the user states is refused only where no sensor measures.
 """
 
 from __future__ import annotations

@@ -120,11 +120,8 @@ def _estimated(model: Any, ids: list[int], key: str) -> LensShift | None:
         return None
     options = pycolmap.BundleAdjustmentOptions()
     options.refine_focal_length = options.refine_principal_point = False
-    options.refine_extra_params = True
     options.print_summary = False
-    ceres = getattr(getattr(options, "ceres", None), "solver_options", None)
-    if ceres is not None:
-        ceres.max_num_iterations = _STEPS
+    options.ceres.solver_options.max_num_iterations = _STEPS
     _adjust(sub, options, extra=False)
     before = _error(sub, chosen)
     _adjust(sub, options, extra=True)

@@ -306,16 +306,17 @@ class ObjectFrames:
         alone = len(inside) == 1
         if gain < needed or seen < (limits.seen if alone else min(limits.seen, self.weakest)):
             return None
-        returned = inside[0] > 0 and inside[-1] + 1 < len(self.frames)
+        ids, (first, last) = [f.frame for f in self.frames], (inside[0], inside[-1])
+        before = ids[first - 1] if first > 0 else None
+        after = ids[last + 1] if last + 1 < len(ids) else None
+        returned = before is not None and after is not None
         least = limits.returned if returned else limits.single if alone else 1.0
         if mm < self.smallest_mm * least or px < limits.shift_px or mm < limits.deviations * std_mm:
             return None
-        ids = [f.frame for f in self.frames]
-        first, last = inside[0], inside[-1]
         return Displaced(
             tuple(ids[j] for j in inside),
-            ids[first - 1] if first > 0 else None,
-            ids[last + 1] if last + 1 < len(ids) else None,
+            before,
+            after,
             (motion - self.zero)[:6],
             covariance,
             float(mm),
