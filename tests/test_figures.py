@@ -92,6 +92,8 @@ def wrong_command(command: str) -> str | None:
             return files[0]
         options = [word for word in words if word.startswith("--")]
         text = script.read_text(encoding="utf-8")
+        if "world_options(" in text:
+            text += (REPOSITORY / "perf" / "world.py").read_text(encoding="utf-8")
         return next((option for option in options if f'"{option}"' not in text), None)
     if program == "make":
         makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")

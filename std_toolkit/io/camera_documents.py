@@ -16,15 +16,18 @@ from std_toolkit.io.regular import read_text
 _LARGEST_FILE = 1024 * 1024
 # Real files of cameras have below 10 levels.
 _DEEPEST = 40
+# No pattern has two neighbours that match the same text: a long file would take quadratic time.
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _WORD = re.compile(rf"{_NUMBER}|[-+]?\.?nan|[-+]?\.?inf", re.IGNORECASE)
 # `key:value` without a space, as old files of OpenCV have it; the readers of YAML need one.
-_TIGHT = re.compile(r"^(\s*(?:- )?[A-Za-z_][\w.]*):(?=[-+.\d\[\"'])", re.MULTILINE)
-_YAML_KEY = re.compile(r"^\s*(?:- )?[\"']?[A-Za-z_][\w.]*[\"']?\s*:", re.MULTILINE)
-_EQUATION = re.compile(r"^\s*[A-Za-z_][\w .]*?\s*=", re.MULTILINE)
+_TIGHT = re.compile(r"^([ \t]*(?:- )?[A-Za-z_][\w.]*):(?=[-+.\d\[\"'])", re.MULTILINE)
+_YAML_KEY = re.compile(r"^[ \t]*(?:- )?[\"']?[A-Za-z_][\w.]*[\"']?[ \t]*:", re.MULTILINE)
+_EQUATION = re.compile(r"^[ \t]*[A-Za-z_][\w .\t]*=", re.MULTILINE)
+_SECTION = re.compile(r"^[ \t]*\[[^\]\n]+\][ \t]*$", re.MULTILINE)
 # `print(intrinsics)` of librealsense.
 _REALSENSE_LINE = re.compile(
-    r"\[?\s*(\d{1,6})x(\d{1,6})\s+p\[([^\]]*)\]\s+f\[([^\]]*)\]\s+([A-Za-z0-9 \-]+?)\s*\[([^\]]*)\]"
+    r"(\d{1,6})x(\d{1,6}) {1,9}p\[([^\]]{0,99})\] {1,9}f\[([^\]]{0,99})\] {1,9}"
+    r"([A-Za-z0-9 \-]{1,50}?) {0,9}\[([^\]]{0,199})\]"
 )
 
 
@@ -57,7 +60,7 @@ def read_camera_document(path: Path, size: tuple[int, int] | None) -> Any:
         return rows
     if _YAML_KEY.search(text):
         return _yaml(text, path)
-    if re.search(r"^\s*\[[^\]]+\]\s*$", text, re.MULTILINE) or _EQUATION.search(text):
+    if _SECTION.search(text) or _EQUATION.search(text):
         return _ini(text, path)
     if pairs := _labelled(text):
         return pairs

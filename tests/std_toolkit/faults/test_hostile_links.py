@@ -53,6 +53,7 @@ def test_links_within_a_scene_and_to_images_remain(tmp_path: Path) -> None:
     for folder in (images, scene / "gt", scene / "a"):
         folder.mkdir(parents=True)
     (images / "0.png").write_bytes(b"png")
+    (scene / "scene.json").write_text("{}")
     (scene / "color").symlink_to(images)
     (scene / "b").symlink_to(scene / "a")
     (scene / "gt" / "0.png").symlink_to(images / "0.png")

@@ -65,6 +65,7 @@ class LIDFPrediction(NamedTuple):
         confidence: None.
         terminations: of the first stage, if it was asked to learn.
         refinements: of the second stage, if that ran.
+        spread: None.
     """
 
     depth: Tensor
@@ -72,6 +73,7 @@ class LIDFPrediction(NamedTuple):
     confidence: None = None
     terminations: Terminations | None = None
     refinements: Refinements | None = None
+    spread: None = None
 
 
 class _Voxelized(NamedTuple):
