@@ -156,7 +156,7 @@ def test_the_verdict_follows_the_measurement(served: Served, page: Page) -> None
     before = position(page)
     page.wait_for_selector("#verdict:has-text('too few frames')")
     page.keyboard.press("ArrowRight")
-    page.wait_for_selector("#verdict:has-text('Not measured since box_1 moved')")
+    page.wait_for_selector("#verdict:has-text('Not judged yet')")
     page.wait_for_selector("#verdict:has-text('too few frames')")  # measured by itself
     page.keyboard.press("Control+z")
     wait_until_at(page, before)
