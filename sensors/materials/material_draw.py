@@ -3,7 +3,7 @@
 `ClassChoice` has the probabilities per category; ablations restrict the allowed classes.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -274,6 +274,7 @@ def draw_material_class(
     category: str,
     *,
     allowed: Collection[material_library.MaterialClass] = material_library.MATERIAL_CLASSES,
+    shares: Mapping[material_library.MaterialClass, float] | None = None,
 ) -> material_library.MaterialClass:
     """Draw the material class of an object; consumes one random number.
 
@@ -282,11 +283,12 @@ def draw_material_class(
         category: "bottle", ...; unknown ones count as "other".
         allowed: classes that an ablation leaves: `("raw",)` keeps the original materials; a set
             without "transparent" distributes its probability proportionally over the others.
+        shares: probability of each class instead of the category's.
 
     Raises:
         ToolkitError: `allowed` is empty.
     """
-    row = load_class_choice().row(category)
+    row = shares or load_class_choice().row(category)
     names = [c for c in material_library.MATERIAL_CLASSES if c in allowed]
     if not names:
         raise ToolkitError("no material class is allowed", field="allowed", value=list(allowed))

@@ -52,8 +52,16 @@ FACTORS: dict[Factor, tuple[Aspect, ...]] = {
 # Materials that objects may have.
 _CLASSES: dict[MaterialSwitch, tuple[MaterialClass, ...]] = {
     "mixed": MATERIAL_CLASSES,
+    "clear": MATERIAL_CLASSES,
     "fixed": ("raw",),
     "opaque": tuple(c for c in MATERIAL_CLASSES if c != "transparent"),
+}
+# Classes where colour alone shall tell what is glass: any shape may be, and has its opaque twin.
+CLEAR_SHARES: dict[MaterialClass, float] = {
+    "raw": 0.15,
+    "diffuse": 0.2,
+    "transparent": 0.5,
+    "specular": 0.15,
 }
 # In every scene of DREDS, and the only categories that may be transparent.
 ALWAYS = ("bottle", "bowl", "mug")
@@ -190,7 +198,10 @@ def dress_scene(
         rng = np.random.default_rng(int(looks.integers(2**63)))
         own = np.random.default_rng(int(parts.integers(2**63)))
         material_class = draw_material_class(
-            rng, dressed_as or asset.category, allowed=_CLASSES[options.materials]
+            rng,
+            dressed_as or asset.category,
+            allowed=_CLASSES[options.materials],
+            shares=CLEAR_SHARES if options.materials == "clear" else None,
         )
         if asset.material is not None and options.materials == "mixed":
             material_class = asset.material

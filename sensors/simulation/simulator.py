@@ -50,7 +50,7 @@ class _Seen:
 
     Attributes:
         seed: of the noise of this frame.
-        infrared: what the depth model received.
+        infrared: what the depth model received; None: no infrared is rendered.
     """
 
     index: int
@@ -170,18 +170,20 @@ class Simulator:
         with self.stopwatch.part("load"):
             loaded.change(look.environment, look.rotation_rad, look.floor)
         T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
-        with self.stopwatch.part("infrared"):
-            infrared = self._depth_model.look(
-                loaded,
-                T_world_ir,
-                Illumination(
-                    ambient=light.infrared_strength,
-                    factor=light.projector_factor,
-                    pattern_seed=world.draw.pattern_seed,
-                ),
-                options=self._quality.infrared,
-                seed=seed,
-            )
+        infrared = None
+        if self.options.depth != "exact":
+            with self.stopwatch.part("infrared"):
+                infrared = self._depth_model.look(
+                    loaded,
+                    T_world_ir,
+                    Illumination(
+                        ambient=light.infrared_strength,
+                        factor=light.projector_factor,
+                        pattern_seed=world.draw.pattern_seed,
+                    ),
+                    options=self._quality.infrared,
+                    seed=seed,
+                )
         with self.stopwatch.part("colour"):
             color = loaded.color(
                 self._color_camera,
@@ -198,8 +200,11 @@ class Simulator:
         with part("exact maps"):
             exact = truth.maps(self._label_camera, view.T_world_cam)
             depth_exact_ir, mask_ir = truth.depth_and_mask(camera, view.T_world_ir)
-        with part("depth"):
-            reading = self._depth_model.read(view.infrared, seed=view.seed)
+        if view.infrared is None:
+            reading = Reading(depth_exact_ir, np.zeros(depth_exact_ir.shape, np.uint8))
+        else:
+            with part("depth"):
+                reading = self._depth_model.read(view.infrared, seed=view.seed)
         with part("denoise"):
             fast = self._quality.color.fast_denoiser
             clean = color_image.denoise(view.color, threads=self._threads, fast=fast)
@@ -210,7 +215,9 @@ class Simulator:
                 rng=np.random.default_rng([view.seed, 1]),
                 response=responses[view.index] if responses else None,
             )
-        if self.options.depth == "cut":
+        if self.options.depth == "exact":
+            aligned = exact.depth
+        elif self.options.depth == "cut":
             reading = Reading(
                 self._cut(world, depth_exact_ir, mask_ir), reading.left, reading.right
             )

@@ -16,6 +16,10 @@ from benchmark.methods.relative_depth import mean_depth
 
 _ROUNDS = 8  # of averaging at each level
 _SMALL = 1e-6
+# Trust to this power, against distrust to it: a pixel of trust 0.1 must not hold the continuation.
+_SHARPNESS = 4
+# Share of trusted pixels of a cell at which it keeps half of its own mean.
+_HALF = 0.1
 # Weighted fits of the plane, and the difference in inverse depth, relative to its mean, from which
 # on a pixel hardly counts: that of an object of 5 cm on a table 1 m away.
 _FITS, _OFF = 6, 0.05
@@ -31,11 +35,12 @@ def continued(depth: Tensor, weight: Tensor) -> Tensor:
     An image without any trusted measurement continues the mean of all, or 1 m without any.
     """
     measured = depth > 0
-    weight = weight * measured
+    sure = weight**_SHARPNESS
+    weight = sure / (sure + (1 - weight) ** _SHARPNESS) * measured
     inverse = measured / depth.clamp(min=_SMALL)
     plane = main_plane(inverse, weight)
     # A pixel of a coarse level is known as far as its part of the image is.
-    found = relaxed(inverse - plane, weight, lambda sure: sure / (sure + _SMALL), _ROUNDS)
+    found = relaxed(inverse - plane, weight, lambda sure: sure / (sure + _HALF), _ROUNDS)
     # Where the plane comes near its horizon the image is at most four times as far as its mean.
     least = 0.25 / mean_depth(depth)
     return 1 / torch.maximum(found + plane, least)
