@@ -101,7 +101,8 @@ ADAM = Optimization(optimizer="adam", weight_decay=0.0, decay="steps")
 
 # Shares, of frames or of objects, that augmentation changes.
 AUGMENTATIONS = (
-    "object_dropout", "copy_paste", "clear_gone", "clear_behind", "holes", "wrong_color"
+    "object_dropout", "copy_paste", "clear_gone", "clear_behind", "holes", "depth_noise",
+    "wrong_color",
 )  # fmt: skip
 
 
@@ -127,6 +128,8 @@ class TrainConfig:
             with that of what is behind.
         holes: share of the frames with holes anywhere.
         wrong_color: share of the frames with noise or another frame's colour.
+        depth_noise: share of the frames whose sensor depth has more noise.
+        sizes: of the frames, such as 224x126: each step draws one; empty for that of the pack.
         batch_norm: whether trained weights normalise by running means over the last batches, as
             published, or by statistics that are recomputed before each validation.
         validate_every, checkpoint_every: steps; the first a multiple of the second.
@@ -153,6 +156,8 @@ class TrainConfig:
     clear_behind: float = 0.0
     holes: float = 0.0
     wrong_color: float = 0.0
+    depth_noise: float = 0.0
+    sizes: tuple[str, ...] = ()
     batch_norm: BatchNormStatistics = "running"
     validate_every: int
     checkpoint_every: int

@@ -214,6 +214,10 @@ def _how(config: TrainConfig, best: BestScores, run: Path, note: RunNote) -> lis
                 "the continuation of the sensor's depth",
             )
         )
+    if config.depth_noise:
+        rows.append(("more noise of depth", f"in {config.depth_noise:g} of the frames"))
+    if config.sizes:
+        rows.append(("sizes", f"{', '.join(config.sizes)}: one a step, of a part of each frame"))
     if config.batch_norm == "recomputed":
         rows.append(("batch-norm statistics", f"recomputed over {BATCH_NORM_FRAMES} frames"))
     if config.beginning and not note.earlier:

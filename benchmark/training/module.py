@@ -106,6 +106,12 @@ class RestorerTraining(pl.LightningModule):
 
     def _augmented(self, inputs: ModelInput) -> ModelInput:
         config = self.config
+        if config.sizes:
+            from benchmark.training.augmentation.frames import cropped
+
+            drawn = int(torch.randint(len(config.sizes), ()))
+            width, _, height = config.sizes[drawn].partition("x")
+            inputs = cropped(inputs, (int(width), int(height)))
         if config.copy_paste:
             from benchmark.training.augmentation.frames import copy_paste
 
@@ -133,6 +139,10 @@ class RestorerTraining(pl.LightningModule):
             if config.clear_gone or config.clear_behind:
                 changed = depth.clear_depth(inputs, config.clear_gone, config.clear_behind, scene)
                 inputs = inputs._replace(depth=changed)
+        if config.depth_noise:
+            from benchmark.training.augmentation.depth import with_noise
+
+            inputs = inputs._replace(depth=with_noise(inputs.depth, config.depth_noise))
         if config.holes:
             from benchmark.training.augmentation.holes import cut_holes
 

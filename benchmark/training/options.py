@@ -18,6 +18,7 @@ from std_toolkit.options import JobOptions
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Size = Annotated[str, msgspec.Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}$")]
 Precision = Literal["fp32", "bf16"]
 BatchNormStatistics = Literal["running", "recomputed"]
 DepthKind = Literal["float32", "float16"]
@@ -90,6 +91,11 @@ class TrainOptions:
     wrong_color: Share = 0.0
     """share of the frames with noise or another frame's colour, to be answered by what was measured
     and its smooth continuation"""
+    depth_noise: Share = 0.0
+    """share of the frames whose sensor depth has more noise, of pixels and of patches, up to 3 mm at
+    1 m, growing with the square of the distance"""
+    sizes: tuple[Size, ...] = ()
+    """sizes such as 224x126: each step draws one, and a part of the frames of its proportions"""
     batch_norm: BatchNormStatistics = "running"
     """batch-norm statistics of validated and saved weights: running means over the last batches, as
     published, or recomputed over 400 frames before each validation"""

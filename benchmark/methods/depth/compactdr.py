@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from benchmark.methods.depth.continuation import continued
+from benchmark.methods.depth.continuation import continued, decided
 from benchmark.methods.efficientnet import CHANNELS, EfficientNetLite
 from benchmark.methods.network import NetworkRestorer, Prediction, network_of, padded_to, precisely
 from benchmark.methods.registry import MethodOptions
@@ -156,7 +156,7 @@ class CompactDRNetwork(nn.Module):
         base, off, moved, spread = self._answer(features, depth, trust)
         raised = off.sigmoid()
         answer = base * (1 - raised) + moved * raised
-        kept = trust.sigmoid() * (depth > 0)
+        kept = decided(trust.sigmoid()) * (depth > 0)
         final = kept * depth + (1 - kept) * answer
         found = Looked(
             masks, edges, _unit(normals), trust, off, base, moved, answer, final,

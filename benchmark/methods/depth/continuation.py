@@ -35,8 +35,7 @@ def continued(depth: Tensor, weight: Tensor) -> Tensor:
     An image without any trusted measurement continues the mean of all, or 1 m without any.
     """
     measured = depth > 0
-    sure = weight**_SHARPNESS
-    weight = sure / (sure + (1 - weight) ** _SHARPNESS) * measured
+    weight = decided(weight) * measured
     inverse = measured / depth.clamp(min=_SMALL)
     plane = main_plane(inverse, weight)
     # A pixel of a coarse level is known as far as its part of the image is.
@@ -44,6 +43,12 @@ def continued(depth: Tensor, weight: Tensor) -> Tensor:
     # Where the plane comes near its horizon the image is at most four times as far as its mean.
     least = 0.25 / mean_depth(depth)
     return 1 / torch.maximum(found + plane, least)
+
+
+def decided(trust: Tensor) -> Tensor:
+    """Trust in [0, 1], nearer to 0 and 1: half a trust stays, 0.1 becomes 0.0002."""
+    sure = trust**_SHARPNESS
+    return sure / (sure + (1 - trust) ** _SHARPNESS)
 
 
 def relaxed(

@@ -31,6 +31,9 @@ _SWEEPS = 6  # of the continuation at each size: the next coarser size begins ne
 # Relative deviation from the support plane at which a pixel counts half in its fit.
 _OFF_PLANE = 0.02
 
+# Largest deviations of the sensor's noise at 1 m, metres: of pixels, and of patches of a size.
+_PIXEL_NOISE_M, _PATCH_NOISE_M, _NOISE_PX = 0.0015, 0.003, 10
+
 _NOISY = 0.5  # share of the frames of a wrong colour that have noise; others another frame's
 
 
@@ -146,6 +149,20 @@ def _grown(pixels: Tensor, reach: int) -> Tensor:
         return pixels
     size = 2 * reach + 1
     return torch.nn.functional.max_pool2d(pixels[:, None].float(), size, 1, reach)[:, 0] > 0
+
+
+@torch.no_grad()
+def with_noise(depth: Tensor, share: float) -> Tensor:
+    """(b, 1, h, w) sensor depth with the noise of stereo in a share of the frames.
+
+    Noise of the disparity, of single pixels and of patches, moves depth by its square.
+    """
+    b, _, h, w = depth.shape
+    on = depth.device
+    strength = torch.rand(2, b, 1, 1, device=on) * (torch.rand(b, 1, 1, device=on) < share)
+    pixels = _PIXEL_NOISE_M * strength[0] * torch.randn(b, h, w, device=on)
+    patches = _PATCH_NOISE_M * strength[1] * (2 * smooth_field(b, h, w, on, _NOISE_PX) - 1)
+    return (depth + (pixels + patches)[:, None] * depth.square()).clamp(min=0.0)
 
 
 @torch.no_grad()

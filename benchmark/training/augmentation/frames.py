@@ -7,7 +7,7 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample
+from torch.nn.functional import grid_sample, interpolate
 
 from benchmark.data.frame import BACKGROUND
 from benchmark.training.step import Batch, ModelInput
@@ -28,6 +28,49 @@ _KEPT = ("true", "mask", "materials", "K", "index", "behind")
 # object is one of its class with this coordinate mirrored, too: a mug across its handle, the others
 # from side to side. What is round about y is symmetric across either.
 _ACROSS = {1: 0, 2: 0, 3: 0, 4: 0, 5: 0, 6: 2, 7: 0}
+
+
+@torch.no_grad()
+def cropped(inputs: ModelInput, size: tuple[int, int]) -> ModelInput:
+    """The largest part of the frames with the proportions of a size, anywhere, at that size.
+
+    Colour is averaged where it becomes smaller; depth and masks go by the nearest pixel.
+
+    Args:
+        inputs: frames; those of the batch may be larger or smaller.
+        size: width and height.
+    """
+    h, w = inputs.depth.shape[-2:]
+    scale = min(w / size[0], h / size[1])
+    width, height = (
+        min(round(scale * side), most) for side, most in zip(size, (w, h), strict=True)
+    )
+    x, y = (int(torch.randint(most - side + 1, ())) for side, most in ((width, w), (height, h)))
+
+    def part(images: Tensor) -> Tensor:
+        return images[..., y : y + height, x : x + width]
+
+    def nearest(maps: Tensor) -> Tensor:
+        rows = ((torch.arange(size[1], device=maps.device) + 0.5) * height / size[1]).long()
+        columns = ((torch.arange(size[0], device=maps.device) + 0.5) * width / size[0]).long()
+        return part(maps)[..., rows[:, None], columns]
+
+    batch = dict(inputs.batch)
+    for name in ("true", "mask", "behind"):
+        if name in batch:
+            batch[name] = nearest(batch[name])
+    if "nocs" in batch:
+        batch["nocs"] = nearest(batch["nocs"].permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
+    K = batch["K"].clone()
+    K[:, 0, 2], K[:, 1, 2] = K[:, 0, 2] + 0.5 - x, K[:, 1, 2] + 0.5 - y
+    K[:, 0] *= size[0] / width
+    K[:, 1] *= size[1] / height
+    K[:, :2, 2] -= 0.5
+    batch["K"] = K
+    color = interpolate(
+        part(inputs.color), size[::-1], mode="bilinear", align_corners=False, antialias=True
+    )
+    return ModelInput(color.clamp(0, 1), nearest(inputs.depth), batch)
 
 
 @torch.no_grad()
