@@ -92,8 +92,8 @@ class TrainOptions:
     """share of the frames with noise or another frame's colour, to be answered by what was measured
     and its smooth continuation"""
     depth_noise: Share = 0.0
-    """share of the frames whose sensor depth has more noise, of pixels and of patches, up to 3 mm at
-    1 m, growing with the square of the distance"""
+    """share of the frames whose sensor depth has more noise, of pixels and of patches, up to 3 mm
+    at 1 m, growing with the square of the distance"""
     sizes: tuple[Size, ...] = ()
     """sizes such as 224x126: each step draws one, and a part of the frames of its proportions"""
     batch_norm: BatchNormStatistics = "running"

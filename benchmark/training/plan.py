@@ -45,7 +45,8 @@ def plan_training(options: TrainOptions) -> tuple[TrainConfig, packed_frames.Dat
         every = max(1, min(_LONGEST_INTERVAL, steps // _CHECKPOINTS))
     about_an_epoch = max(1, round(min(order.steps_per_epoch, steps) / max(1, every))) * every
     copied = (
-        "method", "preset", "accumulate", "precision", "seed", "batch_norm", "sizes", *AUGMENTATIONS,
+        "method", "preset", "accumulate", "precision", "seed", "batch_norm", "sizes",
+        *AUGMENTATIONS,
     )  # fmt: skip
     config = TrainConfig(
         **{name: getattr(options, name) for name in copied},

@@ -89,16 +89,16 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     matcher: str = "local"
     """stereo matcher: local, sgbm, dreds or a plug-in"""
     materials: MaterialSwitch = "mixed"
-    """mixed as in DREDS; clear: half of the objects, of any category, are transparent; fixed: objects
-    keep their original texture; opaque: none is transparent"""
+    """mixed as in DREDS; clear: half of the objects, of any category, are transparent; fixed:
+    objects keep their original texture; opaque: none is transparent"""
     fix: tuple[Factor, ...] = ()
     """what all scenes and views share, for ablations: objects (their shapes, sizes and poses; the
     letter O of the DREDS paper), materials (M), lighting (L), background (B), camera (C)"""
     infrared_noise: bool = True
     """the sensor's noise: shot and read noise in infrared, correlated noise of the disparity"""
     depth: DepthInput = "sensor"
-    """sensor: stereo; cut: exact depth without transparent and specular objects; exact: of all, with
-    black infrared images, in half of the time: colour for training, which takes depth away"""
+    """sensor: stereo; cut: exact depth without transparent and specular objects; exact: of all,
+    with black infrared images, in half of the time: colour for training, which takes depth away"""
 
     def __post_init__(self) -> None:
         check_options(self)

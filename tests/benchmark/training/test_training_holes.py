@@ -12,10 +12,11 @@ from benchmark.training.augmentation import holes
 from benchmark.training.augmentation.depth import (
     clear_depth,
     continued,
+    with_noise,
     without_objects,
     wrong_color,
 )
-from benchmark.training.augmentation.frames import copy_paste, moved
+from benchmark.training.augmentation.frames import copy_paste, cropped, moved
 from benchmark.training.augmentation.holes import CAUSES, cut_holes, smooth_field
 from benchmark.training.options import TrainOptions
 from benchmark.training.step import ModelInput
@@ -59,6 +60,43 @@ def of_cause(name: str, monkeypatch: pytest.MonkeyPatch, count: int = 24) -> tor
     inputs = frames(count)
     torch.manual_seed(1)
     return gone(inputs, cut_holes(inputs, 1.0))
+
+
+@pytest.mark.parametrize("size", [(80, 48), (64, 48), (36, 64), (240, 144)])
+def test_a_part_of_frames_at_another_size_shows_the_same_points(size: tuple[int, int]) -> None:
+    """Points of depth and intrinsics stay where they were, and colour stays on its surface."""
+    inputs = frames(2)
+    v, u = (a.float() for a in torch.meshgrid(torch.arange(H), torch.arange(W), indexing="ij"))
+    color = torch.stack([u / W, v / H, torch.zeros_like(u)]).expand(2, 3, H, W)
+    found = cropped(inputs._replace(color=color), size)
+    w, h = size
+    assert found.depth.shape == (2, 1, h, w) and found.color.shape == (2, 3, h, w)
+    K = found.batch["K"][0]
+    b, a = (a.float() for a in torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij"))
+    x, y = (a - K[0, 2]) / K[0, 0], (b - K[1, 2]) / K[1, 1]
+    before_u, before_v = F * x + W / 2, F * y + H / 2
+    inner = (slice(2, -2), slice(2, -2))
+    assert (found.color[0, 0] * W - before_u)[inner].abs().max() < 0.05
+    assert (found.color[0, 1] * H - before_v)[inner].abs().max() < 0.05
+    # Depth goes by the nearest pixel: at most one pixel of the larger image away.
+    plain = 1 / (1.1 + 0.004 * before_v + 0.0008 * before_u)
+    on_table = found.batch["mask"][0] == BACKGROUND
+    step = max(1.0, F / float(K[0, 0]))
+    assert (1 / found.batch["true"][0] - 1 / plain)[on_table].abs().max() < 0.005 * step
+    assert set(found.batch["mask"].unique().tolist()) <= {BOTTLE, BOX, BACKGROUND}
+
+
+def test_noise_of_stereo_grows_with_the_square_of_the_distance() -> None:
+    depth = torch.tensor([0.5, 1.0, 2.0]).repeat(400)[:, None, None, None].expand(-1, 1, 24, 32)
+    torch.manual_seed(0)
+    apart = (with_noise(depth, 1.0) - depth).reshape(400, 3, -1)
+    half, one, two = apart.square().mean(dim=(0, 2)).sqrt().tolist()
+    assert one / half == pytest.approx(4, rel=0.15) and two / one == pytest.approx(4, rel=0.15)
+    assert 0.0005 < one < 0.003
+    some = with_noise(depth, 0.5)
+    moved_frames = (some != depth).flatten(1).any(dim=1).float().mean()
+    assert moved_frames == pytest.approx(0.5, abs=0.05)
+    assert (with_noise(torch.zeros(2, 1, 24, 32), 1.0) == 0).all()
 
 
 def test_a_scene_without_its_objects_is_the_table() -> None:

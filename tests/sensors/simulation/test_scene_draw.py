@@ -184,6 +184,19 @@ def test_objects_of_a_given_material_have_it() -> None:
     assert "transparent" not in classes("opaque")
 
 
+def test_half_of_clear_scenes_is_glass_whatever_the_category() -> None:
+    options = msgspec.structs.replace(OPTIONS, views=1, materials="clear")
+    made = [o for seed in range(40) for o in drawn(seed, options).objects]
+    glass = [o for o in made if o.material.material_class == "transparent"]
+    assert 0.4 < len(glass) / len(made) < 0.6
+    assert {o.category for o in glass} == {o.category for o in made}
+    # Shapes and sizes are those of the scenes of DREDS.
+    mixed = msgspec.structs.replace(options, materials="mixed")
+    assert [(o.asset, o.diagonal_m) for o in drawn(3, options).objects] == [
+        (o.asset, o.diagonal_m) for o in drawn(3, mixed).objects
+    ]
+
+
 def test_objects_stand_in_half_of_mixed_scenes() -> None:
     def upright(poses: str) -> list[bool]:
         options = msgspec.structs.replace(OPTIONS, views=1, object_poses=poses)
