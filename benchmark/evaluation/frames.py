@@ -214,12 +214,13 @@ def check_restored(view: View, answer: Restored) -> None:
             field="Restored.depth",
             value=answer.depth.shape,
         )
-    if answer.spread is not None and answer.spread.shape != view.depth.shape:
-        raise ToolkitError(
-            f"the method was given a view of {view.depth.shape}",
-            field="Restored.spread",
-            value=answer.spread.shape,
-        )
+    for name, values in (("spread", answer.spread), ("clear", answer.clear)):
+        if values is not None and values.shape != view.depth.shape:
+            raise ToolkitError(
+                f"the method was given a view of {view.depth.shape}",
+                field=f"Restored.{name}",
+                value=values.shape,
+            )
     if answer.depth.size and not np.isfinite(answer.depth).any():
         raise ToolkitError(
             "every pixel of the answer is NaN or infinite",

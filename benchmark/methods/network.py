@@ -29,12 +29,14 @@ class Prediction(NamedTuple):
         initial: (b, 1, h, w) depth before it was blended or propagated; None where there is none.
         confidence: (b, 1, h, w) trust in the sensor's depth, in [0, 1]; None where there is none.
         spread: (b, 1, h, w) metres, expected error of `depth`; None where there is none.
+        clear: (b, 1, h, w) probability of glass or metal; None where there is none.
     """
 
     depth: Tensor
     initial: Tensor | None = None
     confidence: Tensor | None = None
     spread: Tensor | None = None
+    clear: Tensor | None = None
 
 
 class HeldNetwork:
@@ -128,10 +130,9 @@ class NetworkRestorer(HeldNetwork):
         """What the network's outputs say of each view, at the view's size."""
         depth = _at_size(outputs.depth.float(), views)
         trust = None if outputs.confidence is None else outputs.confidence.float().clamp(0, 1)
-        spread = None if outputs.spread is None else outputs.spread.float()
         beside = (
-            [None] * len(views) if maps is None else _at_size(maps, views)
-            for maps in (trust, spread)
+            [None] * len(views) if maps is None else _at_size(maps.float(), views)
+            for maps in (trust, outputs.spread, outputs.clear)
         )
         return [protocol.Restored(*answer) for answer in zip(depth, *beside, strict=True)]
 

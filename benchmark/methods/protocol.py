@@ -46,11 +46,13 @@ class Restored:
         confidence: (h, w) float32 in [0, 1], trust in the sensor's depth, of methods that have it.
         spread: (h, w) float32 metres, the expected error (standard deviation) of `depth`, of
             methods that have it.
+        clear: (h, w) float32 in [0, 1], probability of glass or metal, of methods that look for it.
     """
 
     depth: NDArray[np.float32]
     confidence: NDArray[np.float32] | None = None
     spread: NDArray[np.float32] | None = None
+    clear: NDArray[np.float32] | None = None
 
 
 class Restorer(Protocol):

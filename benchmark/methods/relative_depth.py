@@ -16,6 +16,8 @@ _FARTHEST = 2.5
 
 _CONTRAST = 0.25
 
+_HALVINGS = 9  # of the map at a quarter of the size, to one pixel of images of up to 2048
+
 
 def mean_depth(depth: Tensor) -> Tensor:
     """(b, 1, 1, 1) mean of each image's measured depths (b, 1, h, w), metres; 1 m without any."""
@@ -35,7 +37,7 @@ def coarse_depth(depth: Tensor) -> Tensor:
     filled = mean_depth(depth)
     known = ((depth > 0) & (depth < _FARTHEST * filled)).to(depth.dtype)
     sums, counts = [_halved(_halved(depth * known))], [_halved(_halved(known))]
-    while max(sums[-1].shape[-2:]) > 1:
+    for _ in range(_HALVINGS):
         sums.append(_halved(sums[-1]))
         counts.append(_halved(counts[-1]))
     for total, count in zip(reversed(sums), reversed(counts), strict=True):

@@ -12,6 +12,7 @@ from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 Backend = Literal["auto", "onnx", "torch"]
+Where = Literal["everywhere", "glass"]
 DepthFormat = Literal["same", "png", "exr"]
 
 
@@ -30,6 +31,14 @@ class MethodChoice:
     """NAME=VALUE, the method's own settings"""
     size: tuple[int, int] | None = field(default=None, metadata={"size": True})
     """image size that the network works at (default: its own)"""
+    where: Where = "everywhere"
+    """what may be changed: everywhere, or only where glass or metal is found (by the method, or by
+    compactdr); all else stays the sensor's, holes too"""
+    max_error_m: Annotated[float, msgspec.Meta(gt=0)] | None = field(
+        default=None, metadata={"option": "max-error", "factor": 1000}
+    )
+    """leave out (0) where the expected error is larger, millimetres; for methods with a spread,
+    such as compactdr"""
 
 
 @dataclass(frozen=True, kw_only=True)

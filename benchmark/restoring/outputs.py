@@ -13,7 +13,7 @@ from benchmark.methods.registry import weights_digest
 from benchmark.metrics.depth.figures import tolerance
 from benchmark.metrics.depth.harm import WRONG
 from benchmark.metrics.depth.holes import right_without_truth
-from benchmark.restoring.options import DepthFormat, MethodChoice
+from benchmark.restoring.options import DepthFormat, MethodChoice, Where
 from benchmark.restoring.recordings import FrameFiles
 from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
 from std_toolkit.geometry.camera import Camera
@@ -27,6 +27,7 @@ from std_toolkit.jobs.artefact import Artefact, Record
 RECORD = "restore.json"
 # 16-bit PNG of depth that was an EXR: metres per unit.
 _DEFAULT_UNIT = 0.001
+_SPREAD_UNIT = 0.0001  # metres per number of `spread/`
 _LARGEST = 65534  # the number above it means "too far" to some cameras
 _POINT = np.dtype([("xyz", "<f4", (3,)), ("rgb", "u1", (3,))])
 
@@ -38,6 +39,8 @@ class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         method, preset, settings: the method and its options.
         weights_sha256: hash of the weight file (128-bit BLAKE2b, as in run.json of `std-bench`).
         size: (width, height) that the method works at; empty for the camera's.
+        where: what may be changed, `everywhere` or on `glass` alone.
+        max_error_m: expected error from which on depth is left out, metres; None for no limit.
         backend: `onnx` or `torch` for networks, empty for methods without weights.
         depth_format: `same`, `png` or `exr`.
         points, pictures: whether these are written.
@@ -52,6 +55,8 @@ class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     depth_format: DepthFormat
     points: bool
     pictures: bool
+    where: Where = "everywhere"
+    max_error_m: float | None = None
 
 
 class RestoreRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -96,6 +101,8 @@ def setup_of(
         depth_format=depth_format,
         points=points,
         pictures=pictures,
+        where=choice.where,
+        max_error_m=choice.max_error_m,
     )
 
 
@@ -149,6 +156,8 @@ class FramePaths:
 
     color = _file("color", ".png")
     confidence = _file("confidence", ".png")
+    spread = _file("spread", ".png")
+    glass = _file("glass", ".png")
     changed = _file("changed", ".png")
     points = _file("points", ".ply")
     picture = _file("pictures", ".jpg")
@@ -209,6 +218,13 @@ def write_frame(
     if restored.confidence is not None:
         written.append(paths.confidence)
         write_png(paths.confidence, np.rint(255 * restored.confidence).astype(np.uint8))
+    if restored.spread is not None:
+        written.append(paths.spread)
+        most = np.minimum(restored.spread, np.float32(_LARGEST * _SPREAD_UNIT))
+        write_depth_png16(paths.spread, most, scale=_SPREAD_UNIT)
+    if restored.clear is not None:
+        written.append(paths.glass)
+        write_png(paths.glass, np.rint(255 * restored.clear).astype(np.uint8))
     if frame.undistortion is not None:
         written.append(paths.color)
         write_color(paths.color, color)

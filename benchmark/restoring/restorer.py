@@ -27,6 +27,10 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.depth_maps import LARGEST_MEDIAN_DEPTH_M
 
 
+FINDER = "compactdr"  # looks for glass and metal where a method does not
+_GLASS = 0.5  # probability from which on a pixel is glass or metal
+
+
 @dataclass(frozen=True, eq=False)
 class RestoredFrame:
     """Restored depth of a frame, at the camera's size.
@@ -36,11 +40,17 @@ class RestoredFrame:
         confidence: (H, W) float32 in [0, 1], the method's trust in the sensor; None of methods
             without it.
         changed: (H, W) bool pixels whose depth is not the sensor's own.
+        spread: (H, W) float32 metres, the expected error (standard deviation) of the method's
+            answer; None of methods without it.
+        clear: (H, W) float32 in [0, 1], probability of glass or metal; None of methods that do not
+            look for it.
     """
 
     depth: NDArray[np.float32]
     confidence: NDArray[np.float32] | None
     changed: NDArray[np.bool_]
+    spread: NDArray[np.float32] | None = None
+    clear: NDArray[np.float32] | None = None
 
 
 class Restorer:
@@ -51,11 +61,22 @@ class Restorer:
     Args:
         method: restorer at its own image size.
         options: that it was made with.
+        finder: method whose mask of glass and metal limits what is changed; None for no limit.
+        max_error_m: depth with a larger expected error is left out; None for no limit.
     """
 
-    def __init__(self, method: protocol.Restorer, options: MethodOptions) -> None:
+    def __init__(
+        self,
+        method: protocol.Restorer,
+        options: MethodOptions,
+        *,
+        finder: protocol.Restorer | None = None,
+        max_error_m: float | None = None,
+    ) -> None:
         self.method = method
         self.options = options
+        self.finder = finder
+        self.max_error_m = max_error_m
 
     @classmethod
     def load(
@@ -122,7 +143,7 @@ class Restorer:
         cls, choice: MethodChoice, *, device: str = "cpu", backend: Backend = "auto"
     ) -> Restorer:
         """Load what the options of a command choose; see `load`."""
-        return cls.load(
+        made = cls.load(
             choice.method,
             preset=choice.preset,
             weights=choice.weights,
@@ -131,6 +152,12 @@ class Restorer:
             backend=backend,
             settings=settings_of(choice.settings),
         )
+        made.max_error_m = choice.max_error_m
+        if choice.where == "glass":
+            made.finder = made.method
+            if choice.method != FINDER:
+                made.finder = cls.load(FINDER, device=device, backend=backend).method
+        return made
 
     def restore(
         self, color: NDArray[np.uint8], depth: NDArray[np.floating], K: ArrayLike
@@ -175,12 +202,41 @@ class Restorer:
             )
         size = working_size(self.method, camera.size)
         view = sensor_view(color, sensor, camera, size)
-        answers = self.method.restore([view])
-        if len(answers) != 1:
-            raise ToolkitError(f"the method gave {len(answers)} answers to one view")
-        check_restored(view, answers[0])
-        found = to_full_size(sensor, answers[0], color)
-        return RestoredFrame(found.depth, found.confidence, found.depth != sensor)
+        found = to_full_size(sensor, _answer(self.method, view), color)
+        depth, clear = found.depth, found.clear
+        if self.max_error_m is not None:
+            if found.spread is None:
+                raise ToolkitError(
+                    "the method does not say how far off its answers are",
+                    field="--max-error",
+                    hint=f"--method {FINDER} does",
+                )
+            depth = np.where(found.spread <= self.max_error_m, depth, np.float32(0))
+        if self.finder is not None:
+            if self.finder is not self.method:
+                seen = sensor_view(color, sensor, camera, working_size(self.finder, camera.size))
+                clear = to_full_size(sensor, _answer(self.finder, seen)).clear
+            if clear is None:
+                raise ToolkitError(
+                    "the method does not look for glass",
+                    field="--where",
+                    hint=f"--method {FINDER} does",
+                )
+            depth = np.where(clear >= _GLASS, depth, sensor)
+        return RestoredFrame(depth, found.confidence, depth != sensor, found.spread, clear)
+
+
+def _answer(method: protocol.Restorer, view: protocol.View) -> protocol.Restored:
+    """The method's answer to one view.
+
+    Raises:
+        ToolkitError: it gives none, or an invalid one.
+    """
+    answers = method.restore([view])
+    if len(answers) != 1:
+        raise ToolkitError(f"the method gave {len(answers)} answers to one view")
+    check_restored(view, answers[0])
+    return answers[0]
 
 
 def settings_of(texts: Sequence[str]) -> dict[str, str]:

@@ -143,8 +143,9 @@ class CompactDRNetwork(nn.Module):
         """
         found = self.look(color, depth)
         trust = found.trust.sigmoid() * (depth > 0)
+        clear = found.masks.sigmoid().amax(dim=1, keepdim=True)
         # The standard deviation of a Laplace density of this scale.
-        return Prediction(found.depth, found.answer, trust, 2**0.5 * found.spread)
+        return Prediction(found.depth, found.answer, trust, 2**0.5 * found.spread, clear)
 
     def look(self, color: Tensor, depth: Tensor) -> Looked:
         """All that the network says of an image; arguments as of `forward`."""

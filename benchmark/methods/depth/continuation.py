@@ -15,6 +15,7 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 from benchmark.methods.relative_depth import mean_depth
 
 _ROUNDS = 8  # of averaging at each level
+_HALVINGS = 11  # to one pixel of 2048; a number that no size decides is one of a graph of any size
 _SMALL = 1e-6
 # Trust to this power, against distrust to it: a pixel of trust 0.1 must not hold the continuation.
 _SHARPNESS = 4
@@ -56,7 +57,7 @@ def relaxed(
 ) -> Tensor:
     """(b, 1, h, w) values continued harmonically: unknown pixels are means of their neighbours.
 
-    Weighted means at half the size, and so on down to one pixel; back up, each size begins with the
+    Weighted means at half the size, and so on down to one pixel of 2048; back up, each size begins with the
     coarser solution and is relaxed.
 
     Args:
@@ -66,7 +67,7 @@ def relaxed(
         rounds: of averaging at each size.
     """
     levels = [(values * weight, weight)]
-    while max(levels[-1][0].shape[-2:]) > 1:
+    for _ in range(_HALVINGS):
         total, weight = (avg_pool2d(image, 2, ceil_mode=True) for image in levels[-1])
         levels.append((total, weight))
     found = torch.zeros_like(levels[-1][0])
@@ -74,9 +75,8 @@ def relaxed(
         found = interpolate(found, size=total.shape[-2:], mode="bilinear", align_corners=False)
         share, own = known(weight), total / weight.clamp(min=_SMALL)
         found = share * own + (1 - share) * found
-        if max(total.shape[-2:]) > 1:
-            for _ in range(rounds):
-                found = share * own + (1 - share) * _around(found)
+        for _ in range(rounds):
+            found = share * own + (1 - share) * _around(found)
     return found
 
 

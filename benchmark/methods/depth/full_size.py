@@ -127,11 +127,15 @@ class FullSize:
         depth: (H, W) float32 metres, 0 where there is no answer.
         believed: (H, W) bool pixels that are the sensor's own.
         confidence: (H, W) float32 in [0, 1], trust in the sensor; None of methods without it.
+        spread: (H, W) float32 metres, expected error of `depth`; None of methods without it.
+        clear: (H, W) float32 in [0, 1], probability of glass or metal; likewise.
     """
 
     depth: Depth
     believed: NDArray[np.bool_]
     confidence: Depth | None = None
+    spread: Depth | None = None
+    clear: Depth | None = None
 
 
 def at_full_size(sensor: Depth, answer: Restored) -> Depth:
@@ -168,7 +172,10 @@ def to_full_size(
     # A pixel without an answer is no near surface.
     least = cv2.erode(np.where(answered, depth, np.float32(_BEYOND)), square)
     most = cv2.dilate(depth, square)
-    confidence = None if answer.confidence is None else np.asarray(answer.confidence, np.float32)
+    confidence, spread, clear = (
+        None if values is None else np.asarray(values, np.float32)
+        for values in (answer.confidence, answer.spread, answer.clear)
+    )
     if depth.shape == sensor.shape:
         near, far, found = least, most, depth
     else:
@@ -181,13 +188,15 @@ def to_full_size(
             edge = ~smooth & (found > 0)
             found[edge] = enlarge.guided(depth, color, edge)
         found[smooth] = enlarge(depth, cv2.INTER_LINEAR)[smooth]
-        if confidence is not None:
-            confidence = enlarge(confidence, cv2.INTER_LINEAR)
+        confidence, spread, clear = (
+            None if values is None else enlarge(values, cv2.INTER_LINEAR)
+            for values in (confidence, spread, clear)
+        )
     reach = _NEAR_ALONE if confidence is None else _NEAR
     believed = (sensor > 0) & (sensor > near - reach) & (sensor < far + reach)
     if confidence is not None:
         believed &= confidence >= _TRUSTED
-    return FullSize(np.where(believed, sensor, found), believed, confidence)
+    return FullSize(np.where(believed, sensor, found), believed, confidence, spread, clear)
 
 
 def _answered(depth: NDArray[np.floating]) -> Depth:

@@ -65,7 +65,7 @@ class LIDFPrediction(NamedTuple):
         confidence: None.
         terminations: of the first stage, if it was asked to learn.
         refinements: of the second stage, if that ran.
-        spread: None.
+        spread, clear: None.
     """
 
     depth: Tensor
@@ -74,6 +74,7 @@ class LIDFPrediction(NamedTuple):
     terminations: Terminations | None = None
     refinements: Refinements | None = None
     spread: None = None
+    clear: None = None
 
 
 class _Voxelized(NamedTuple):
