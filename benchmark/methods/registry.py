@@ -253,18 +253,21 @@ def check_shipped(path: Path, what: str) -> None:
         )
 
 
-def shipped_graphs(method: str, preset: str) -> dict[tuple[int, int], Path]:
+def shipped_graphs(method: str, preset: str) -> dict[tuple[int, int] | None, Path]:
     """The ONNX graphs that come with the toolkit, by (width, height), the smallest first.
+
+    A graph for images of any size is called `METHOD-PRESET-any.onnx`; its size is None.
 
     They hold no weights: they refer to those of `shipped_file` beside them.
     """
     stem = f"{method}-{preset}-"
-    found = {}
+    found: dict[tuple[int, int] | None, Path] = {}
     # The name may be that of a user's file, and no pattern.
     for path in (path for path in SHIPPED.glob("*.onnx") if path.name.startswith(stem)):
-        width, _, height = path.stem.removeprefix(stem).partition("x")
-        found[int(width), int(height)] = path
-    return dict(sorted(found.items()))
+        size = path.stem.removeprefix(stem)
+        width, _, height = size.partition("x")
+        found[None if size == "any" else (int(width), int(height))] = path
+    return dict(sorted(found.items(), key=lambda entry: entry[0] or (0, 0)))
 
 
 def sha256_of(path: Path) -> str:

@@ -9,6 +9,7 @@ Source: "External Data" and "Intermediate Representation", onnx.ai.
 import json
 import logging
 import struct
+import tempfile
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.methods.depth.onnx_network import INPUTS, OUTPUTS, OnnxNetwork
+from benchmark.methods.depth.onnx_network import INPUTS, LONGEST, OUTPUTS, OnnxNetwork
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions, make_restorer, preset_for, sha256_of
 from benchmark.restoring.options import ExportOptions
@@ -30,6 +31,9 @@ from std_toolkit.io.atomic import atomic_path
 LARGEST_DIFFERENCE = 1e-4
 
 _OPSET = 18  # of onnxruntime 1.14 and later
+_MAPS = ("depth", "confidence", "spread", "clear")  # of `Restored`
+_ANY = (224, 160)  # size at which a network of any size is traced
+_TRIED = ((224, 126), (120, 176))  # sizes at which it must answer as torch does
 _NAMED = "network."  # before the names of weights in the exported module
 
 
@@ -47,8 +51,7 @@ def export_choice(options: ExportOptions) -> str:
     made = MethodOptions(preset=preset, weights=choice.weights, settings=settings)
     found = export_onnx(choice.method, made, options.out)
     told = [f"depth differs from torch's by at most {found['depth']:.1e} m"]
-    if "confidence" in found:
-        told.append(f"confidence by {found['confidence']:.1e}")
+    told += [f"{name} by {apart:.1e}" for name, apart in list(found.items())[1:]]
     return f"{options.out}: {', '.join(told)}"
 
 
@@ -57,11 +60,12 @@ def export_onnx(method: str, options: MethodOptions, out: Path) -> dict[str, flo
 
     Args:
         method: name of a restorer around a network.
-        options: preset, weights and settings; `input_size` is one of SwinDRNet's.
+        options: preset, weights and settings; `input_size` is one of SwinDRNet's. A network of
+            images of any size gives a graph of any size.
         out: the file, with the suffix .onnx.
 
     Returns:
-        The largest differences from torch on made-up views: "depth" in metres, "confidence".
+        The largest differences from torch on made-up views, by the names of `Restored`.
 
     Raises:
         ToolkitError: a method without a network of colour and depth, one that cannot be exported,
@@ -114,11 +118,8 @@ _TYPES = {"F16": np.float16, "F32": np.float32, "I64": np.int64}
 
 def _exported(method: str, options: MethodOptions) -> tuple[Any, Any, dict[str, np.ndarray]]:
     """The restorer, its graph without weights, and the weights that the graph uses by name."""
-    import onnx
     import onnxruntime  # noqa: F401 - needed at the end; missed before minutes of work
     import torch
-    from onnxscript import optimizer
-    from torch.nn.attention import SDPBackend, sdpa_kernel
 
     from benchmark.methods.network import NetworkRestorer
 
@@ -126,43 +127,27 @@ def _exported(method: str, options: MethodOptions) -> tuple[Any, Any, dict[str, 
     if (
         not isinstance(restorer, NetworkRestorer)
         or not restorer.takes_color_and_depth
-        or restorer.input_size is None
+        or not (restorer.input_size or hasattr(restorer, "longest"))
     ):
         raise ToolkitError(
-            "has no network of colour and depth of a fixed size, which alone can be exported",
+            "has no network of colour and depth of a fixed size or of any, which alone can be "
+            "exported",
             field="--method",
             value=method,
         )
     network = _with_tuple(restorer.plain_network())
-    width, height = restorer.input_size
+    width, height = restorer.input_size or _ANY
     # It warns of every package that it could use and does not need.
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     example = (torch.rand(1, 3, height, width), torch.rand(1, 1, height, width) + 0.5)
     try:
-        # Attention in its plain form: that of a processor has another layout in memory.
-        with warnings.catch_warnings(), torch.no_grad(), sdpa_kernel(SDPBackend.MATH):
+        with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
             outputs = OUTPUTS[: len(network(*example))]
-            program = torch.onnx.export(
-                network,
-                example,
-                dynamo=True,
-                optimize=False,
-                verbose=False,
-                opset_version=_OPSET,
-                input_names=INPUTS,
-                output_names=outputs,
-            )
-        assert program is not None
-        model = program.model_proto
-        # Simplified without the values of weights, whose names would else be lost.
-        state = {each.name: onnx.numpy_helper.to_array(each) for each in model.graph.initializer}
-        for each in model.graph.initializer:
-            model.graph.input.append(
-                onnx.helper.make_tensor_value_info(each.name, each.data_type, each.dims)
-            )
-        del model.graph.initializer[:]
-        model = optimizer.optimize(model)
+            if restorer.input_size is None:
+                model, state = _of_any_size(network, example, outputs)
+            else:
+                model, state = _of_one_size(network, example, outputs)
     except (ToolkitError, KeyboardInterrupt, MemoryError):
         raise
     except Exception as error:  # the exporter raises whatever it meets
@@ -176,6 +161,62 @@ def _exported(method: str, options: MethodOptions) -> tuple[Any, Any, dict[str, 
         model.graph.input.pop()
     used = {name for node in model.graph.node for name in node.input}
     return restorer, model, {name: array for name, array in state.items() if name in used}
+
+
+def _of_one_size(network: Any, example: Any, outputs: Sequence[str]) -> tuple[Any, dict[str, Any]]:
+    import onnx
+    import torch
+    from onnxscript import optimizer
+    from torch.nn.attention import SDPBackend, sdpa_kernel
+
+    # Attention in its plain form: that of a processor has another layout in memory.
+    with sdpa_kernel(SDPBackend.MATH):
+        program = torch.onnx.export(
+            network,
+            example,
+            dynamo=True,
+            optimize=False,
+            verbose=False,
+            opset_version=_OPSET,
+            input_names=INPUTS,
+            output_names=outputs,
+        )
+    assert program is not None
+    model = program.model_proto
+    # Simplified without the values of weights, whose names would else be lost.
+    state = {each.name: onnx.numpy_helper.to_array(each) for each in model.graph.initializer}
+    for each in model.graph.initializer:
+        model.graph.input.append(
+            onnx.helper.make_tensor_value_info(each.name, each.data_type, each.dims)
+        )
+    del model.graph.initializer[:]
+    return optimizer.optimize(model), state
+
+
+def _of_any_size(network: Any, example: Any, outputs: Sequence[str]) -> tuple[Any, dict[str, Any]]:
+    import onnx
+    import torch
+
+    # By tracing: the exporter of graphs takes sizes halved down to one pixel for constants. Norms
+    # stay apart, so that weights keep their names.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "network.onnx")
+        torch.onnx.export(
+            network,
+            example,
+            path,
+            dynamo=False,
+            opset_version=_OPSET,
+            training=torch.onnx.TrainingMode.PRESERVE,
+            do_constant_folding=False,
+            input_names=INPUTS,
+            output_names=outputs,
+            dynamic_axes={name: {2: "h", 3: "w"} for name in (*INPUTS, *outputs)},
+        )
+        model = onnx.load(path)
+    state = {each.name: onnx.numpy_helper.to_array(each) for each in model.graph.initializer}
+    del model.graph.initializer[:]
+    return model, state
 
 
 def _with_weights(model: Any, nodes: Sequence[Any], weights: Sequence[Any]) -> Any:
@@ -210,11 +251,19 @@ def _write(
     for key, value in notes.items():
         model.metadata_props.add(key=key, value=value)
     model.producer_name, model.producer_version = "std-toolkit", __version__
-    views = made_up_views(restorer.input_size)
+    if restorer.input_size is None:
+        model.metadata_props.add(key=LONGEST, value=str(restorer.longest))
+    # Sides of any length are those of no multiple, too.
+    views = [
+        view
+        for size in ([restorer.input_size] if restorer.input_size else _TRIED)
+        for view in made_up_views(size)
+    ]
     with atomic_path(out) as temporary:
         temporary.write_bytes(model.SerializeToString(deterministic=True))
         own = OnnxNetwork(MethodOptions(weights=temporary))
-        found = differences(own.restore(views), restorer.restore(views))
+        wanted = [answer for view in views for answer in restorer.restore([view])]
+        found = differences(own.restore(views), wanted)
         if max(found.values()) > LARGEST_DIFFERENCE:
             raise ToolkitError(
                 "the exported network does not compute what torch does", path=out, value=found
@@ -223,8 +272,8 @@ def _write(
 
 
 def differences(found: Sequence[Restored], wanted: Sequence[Restored]) -> dict[str, float]:
-    """The largest absolute differences between answers, of depth and of confidence."""
-    names = ["depth", *(["confidence"] if wanted[0].confidence is not None else [])]
+    """The largest absolute differences between answers, of each of their maps."""
+    names = [name for name in _MAPS if getattr(wanted[0], name) is not None]
     return {
         name: max(
             float(np.abs(getattr(a, name) - getattr(b, name)).max())
@@ -280,6 +329,7 @@ def _with_tuple(network: Any) -> Any:
 
         def forward(self, color: Any, depth: Any) -> tuple[Any, ...]:
             found = self.network(color, depth)
-            return (found.depth,) if found.confidence is None else (found.depth, found.confidence)
+            maps = (found.depth, found.confidence, found.spread, found.clear)
+            return tuple(image for image in maps if image is not None)
 
     return WithTuple().eval()

@@ -21,11 +21,10 @@ from benchmark.methods.registry import (
     shipped_graphs,
     shipped_weights,
 )
-from benchmark.restoring.options import Backend, MethodChoice
+from benchmark.restoring.options import Backend, MethodChoice, Where
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.depth_maps import LARGEST_MEDIAN_DEPTH_M
-
 
 FINDER = "compactdr"  # looks for glass and metal where a method does not
 _GLASS = 0.5  # probability from which on a pixel is glass or metal
@@ -61,7 +60,8 @@ class Restorer:
     Args:
         method: restorer at its own image size.
         options: that it was made with.
-        finder: method whose mask of glass and metal limits what is changed; None for no limit.
+        where: what may be changed, `everywhere` or on `glass` and metal alone; the mask is the
+            method's own, or that of compactdr.
         max_error_m: depth with a larger expected error is left out; None for no limit.
     """
 
@@ -70,12 +70,13 @@ class Restorer:
         method: protocol.Restorer,
         options: MethodOptions,
         *,
-        finder: protocol.Restorer | None = None,
+        where: Where = "everywhere",
         max_error_m: float | None = None,
     ) -> None:
         self.method = method
         self.options = options
-        self.finder = finder
+        self.where = where
+        self._finder: protocol.Restorer | None = None
         self.max_error_m = max_error_m
 
     @classmethod
@@ -153,10 +154,7 @@ class Restorer:
             settings=settings_of(choice.settings),
         )
         made.max_error_m = choice.max_error_m
-        if choice.where == "glass":
-            made.finder = made.method
-            if choice.method != FINDER:
-                made.finder = cls.load(FINDER, device=device, backend=backend).method
+        made.where = choice.where
         return made
 
     def restore(
@@ -212,16 +210,12 @@ class Restorer:
                     hint=f"--method {FINDER} does",
                 )
             depth = np.where(found.spread <= self.max_error_m, depth, np.float32(0))
-        if self.finder is not None:
-            if self.finder is not self.method:
-                seen = sensor_view(color, sensor, camera, working_size(self.finder, camera.size))
-                clear = to_full_size(sensor, _answer(self.finder, seen)).clear
+        if self.where == "glass":
             if clear is None:
-                raise ToolkitError(
-                    "the method does not look for glass",
-                    field="--where",
-                    hint=f"--method {FINDER} does",
-                )
+                self._finder = self._finder or Restorer.load(FINDER).method
+                seen = sensor_view(color, sensor, camera, working_size(self._finder, camera.size))
+                clear = to_full_size(sensor, _answer(self._finder, seen)).clear
+                assert clear is not None
             depth = np.where(clear >= _GLASS, depth, sensor)
         return RestoredFrame(depth, found.confidence, depth != sensor, found.spread, clear)
 
@@ -285,13 +279,12 @@ def _graph(
         ToolkitError: --backend onnx without a graph, or neither package is installed.
     """
     graphs = shipped_graphs(method, options.preset)
-    own = next(iter(graphs), None)
-    known = graphs.get(size or own) if own is not None else None
+    known = graphs.get(size if size is not None else next(iter(graphs), None))
     usable = known is not None and options.weights is None and not options.settings
     if backend == "torch":
         return None
     if backend == "onnx" and not usable:
-        sizes = " or ".join(f"{w}x{h}" for w, h in graphs)
+        sizes = " or ".join("any size" if s is None else f"{s[0]}x{s[1]}" for s in graphs)
         raise ToolkitError(
             "the toolkit has no ONNX graph for this",
             field="--backend",

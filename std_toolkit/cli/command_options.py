@@ -76,7 +76,8 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
 
     def parse() -> Any:
         with on_parse_error(functools.partial(_refuse, program)):
-            return tyro.cli(_with_common(kind), prog=program, args=list(words), config=_markers())
+            args = _in_millimetres(kind, words)
+            return tyro.cli(_with_common(kind), prog=program, args=args, config=_markers())
 
     if "--help" in words or "-h" in words:
         page = io.StringIO()
@@ -95,6 +96,20 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
         raise UsageError(str(error)) from error
     common = {field.name: getattr(call, field.name) for field in dataclasses.fields(CommonOptions)}
     return options, CommonOptions(**common)
+
+
+_LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)(mm|cm|m)")
+_MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+
+
+def _in_millimetres(kind: type[Any], words: Sequence[str]) -> list[str]:
+    """The words, where lengths such as 10mm or 0.01m are numbers of millimetres."""
+    lengths = {f"--{option.name}" for option in _options(kind) if "factor" in option.metadata}
+    found = list(words)
+    for index, name in enumerate(words[:-1]):
+        if name in lengths and (given := _LENGTH.fullmatch(words[index + 1])):
+            found[index + 1] = f"{float(given[1]) * _MILLIMETRES[given[2]]:g}"
+    return found
 
 
 def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -> None:
@@ -149,7 +164,7 @@ def words_of(options: Any) -> list[str]:
             on = value or "off" in plain.metadata
             named.append(f"--{plain.name}" if on else f"--no-{plain.name}")
             continue
-        value = value * plain.metadata["factor"] if "factor" in plain.metadata else value
+        value = value and value * plain.metadata["factor"] if "factor" in plain.metadata else value
         if isinstance(value, Mapping):
             value = tuple(f"{key}={item}" for key, item in value.items())
         values = value if isinstance(value, tuple) else (value,)
@@ -259,7 +274,7 @@ def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.
         elif "off" in field.metadata:
             value = not value
         elif "factor" in field.metadata:
-            value = value / field.metadata["factor"]
+            value = value and value / field.metadata["factor"]
         elif "size" in field.metadata and isinstance(value, str):
             value = _size(field.name, value)
         elif value == () and default is None:
@@ -336,7 +351,7 @@ def _with_common(kind: type[Any]) -> type[Any]:
             hint, metavar = (str | None if default is None else str), "WxH"
             default = default and f"{default[0]}x{default[1]}"
         elif "factor" in option.metadata:
-            default = default * option.metadata["factor"]
+            default = default and default * option.metadata["factor"]
         elif option.metadata.get("repeat"):
             default = () if default is None else default
             hint = conf.UseAppendAction[next(t for t in (*get_args(hint), hint) if _is_tuple(t))]  # type: ignore[misc]

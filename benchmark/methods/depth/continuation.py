@@ -57,8 +57,8 @@ def relaxed(
 ) -> Tensor:
     """(b, 1, h, w) values continued harmonically: unknown pixels are means of their neighbours.
 
-    Weighted means at half the size, and so on down to one pixel of 2048; back up, each size begins with the
-    coarser solution and is relaxed.
+    Weighted means at half the size, and so on down to one pixel of 2048; back up, each size begins
+    with the coarser solution and is relaxed.
 
     Args:
         values: (b, 1, h, w).

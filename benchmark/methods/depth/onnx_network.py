@@ -1,7 +1,8 @@
 """A restoration network in the ONNX format, run by onnxruntime without torch.
 
 `std-restore export` writes such files. The graph `network(color, depth)` has the interface of
-`benchmark.methods.network.NetworkRestorer`, for one image of a fixed size.
+`benchmark.methods.network.NetworkRestorer`, for one image of a fixed size, or of any size whose
+sides are multiples of 32: images are then enlarged at the right and below by their last pixels.
 """
 
 import os
@@ -22,7 +23,10 @@ from std_toolkit.options import usable_cores
 from std_toolkit.plugins import configured
 
 INPUTS = ("color", "depth")
-OUTPUTS = ("restored", "confidence")  # the last is missing in networks without confidence
+# The last ones are missing in networks without them.
+OUTPUTS = ("restored", "confidence", "spread", "clear")
+MULTIPLE = 32  # of the sides of images of any size
+LONGEST = "longest"  # pixels of images of any size at most: a note in the file
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,9 @@ class OnnxNetwork:
         self.weights, self._timeout_s = options.weights, config.timeout_s
         self._session, self._options = _session(options.weights, options.device, config.threads)
         self.input_size = _input_size(self._session, options.weights)
+        notes = self._session.get_modelmeta().custom_metadata_map
+        longest = notes.get(LONGEST, "")
+        self.longest = int(longest) if longest.isdecimal() else None
 
     def restore(self, views: Sequence[View]) -> list[Restored]:
         """Restore views one by one; those of another size are resized by the nearest pixel."""
@@ -72,7 +79,11 @@ class OnnxNetwork:
     def _restore(self, view: View) -> Restored:
         color, depth = view.color, view.depth
         size = (depth.shape[1], depth.shape[0])
-        if size != self.input_size:
+        if self.input_size is None:
+            right, below = -size[0] % MULTIPLE, -size[1] % MULTIPLE
+            color = np.pad(color, ((0, below), (0, right), (0, 0)), mode="edge")
+            depth = np.pad(depth, ((0, below), (0, right)), mode="edge")
+        elif size != self.input_size:
             color = resize_nearest(color, self.input_size)
             depth = resize_nearest(depth, self.input_size)
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0)
@@ -81,7 +92,7 @@ class OnnxNetwork:
             name: np.ascontiguousarray(image[None], np.float32)
             for name, image in zip(INPUTS, images, strict=True)
         }
-        expected = (1, 1, self.input_size[1], self.input_size[0])
+        expected = (1, 1, *depth.shape)
         outputs = self._run(named)
         for output in outputs:
             if np.shape(output) != expected:
@@ -91,9 +102,13 @@ class OnnxNetwork:
                     value=np.shape(output),
                 )
         found = [np.asarray(output[0, 0], np.float32) for output in outputs]
-        if size != self.input_size:
+        if self.input_size is None:
+            found = [image[: size[1], : size[0]] for image in found]
+        elif size != self.input_size:
             found = [resize_nearest(image, size) for image in found]
-        return Restored(found[0], found[1].clip(0, 1) if len(found) > 1 else None)
+        if len(found) > 1:
+            found[1] = found[1].clip(0, 1)
+        return Restored(*found)
 
     def _run(self, images: dict[str, NDArray[np.float32]]) -> list[NDArray[Any]]:
         """What the network answers.
@@ -167,16 +182,16 @@ def _threads() -> int:
     return int(given) if given.isdecimal() and int(given) else usable_cores()
 
 
-def _input_size(session: Any, path: Path) -> tuple[int, int]:
-    """(width, height) of the graph's images.
+def _input_size(session: Any, path: Path) -> tuple[int, int] | None:
+    """(width, height) of the graph's images; None for any.
 
     Raises:
-        ToolkitError: the graph is not a restorer for images of a fixed size.
+        ToolkitError: the graph is not a restorer of images.
     """
     names = tuple(each.name for each in session.get_inputs())
     outputs = tuple(each.name for each in session.get_outputs())
     shapes = [each.shape for each in session.get_inputs()]
-    fits = names == INPUTS and outputs in (OUTPUTS, OUTPUTS[:1])
+    fits = names == INPUTS and outputs in [OUTPUTS[:n] for n in range(1, len(OUTPUTS) + 1)]
     if not (fits and shapes[0][:2] == [1, 3] and shapes[1] == [1, 1, *shapes[0][2:]]):
         raise ToolkitError(
             "not a network that restores depth: it must have the inputs color (1, 3, h, w) and "
@@ -186,4 +201,6 @@ def _input_size(session: Any, path: Path) -> tuple[int, int]:
             hint="`std-restore export` writes one",
         )
     height, width = shapes[0][2:]
+    if isinstance(height, str) and isinstance(width, str):
+        return None
     return int(width), int(height)

@@ -53,6 +53,33 @@ class Tiny(NetworkRestorer):
 """
 
 
+def test_a_network_of_any_size_becomes_a_graph_of_any_size(tmp_path):
+    """Its answers, spreads and masks are those of torch at sizes of no multiple, turned, too."""
+    from safetensors.torch import save_file
+
+    from benchmark.methods.depth.compactdr import CompactDRNetwork
+
+    torch.manual_seed(0)
+    network = CompactDRNetwork()
+    for head in (network.head, network.last):
+        torch.nn.init.normal_(head.weight, std=0.05)
+    weights = tmp_path / "own.safetensors"
+    save_file(network.state_dict(), weights)
+    options = MethodOptions(preset="compact", weights=weights)
+    found = export_onnx("compactdr", options, tmp_path / "own.onnx")
+    assert set(found) == {"depth", "confidence", "spread", "clear"}
+    assert max(found.values()) < LARGEST_DIFFERENCE
+    graph = OnnxNetwork(MethodOptions(weights=tmp_path / "own.onnx"))
+    own = make_restorer("compactdr", options)
+    assert graph.input_size is None and graph.longest == own.longest
+    for size in ((97, 61), (64, 150), (160, 128)):
+        (view, *_) = made_up_views(size)
+        told, wanted = graph.restore([view]), own.restore([view])
+        assert told[0].clear.shape == view.depth.shape
+        assert max(differences(told, wanted).values()) < LARGEST_DIFFERENCE
+        assert wanted[0].spread.std() > 0  # not the same everywhere
+
+
 @pytest.mark.parametrize("size", GRAPHS)
 def test_a_shipped_graph_refers_to_the_numbers_of_the_shipped_weights(size):
     weights = shipped_file("swindrnet", "compact")

@@ -14,6 +14,8 @@ from benchmark import Restorer
 from benchmark.cli.bench import main as bench
 from benchmark.cli.restore import main as restore
 from benchmark.restoring.onnx_export import made_up_views
+from benchmark.restoring.options import MethodChoice, RestoreOptions
+from std_toolkit.cli.command_options import UsageError, parse_options, words_of
 from std_toolkit.errors import ToolkitError
 
 K = np.array([[96.0, 0, 47.5], [0, 96, 35.5], [0, 0, 1]])
@@ -128,3 +130,63 @@ def test_missing_packages_are_named_with_the_command_to_install_them(monkeypatch
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ToolkitError, match=r"'std-toolkit\[restore\]'"):
         Restorer.load()
+
+
+SURE = """
+import numpy as np
+from benchmark.methods.protocol import Restored
+
+
+class Sure:
+    input_size, needs_mask = None, False
+
+    def __init__(self, options):
+        pass
+
+    def restore(self, views):
+        \"\"\"Everything is 0.5 m away; glass is at the left, and the right half is uncertain.\"\"\"
+        answers = []
+        for view in views:
+            depth = np.full(view.depth.shape, 0.5, np.float32)
+            left = np.arange(depth.shape[1]) < depth.shape[1] // 2
+            spread = np.where(left, np.float32(0.004), np.float32(0.03)) + 0 * depth
+            answers.append(Restored(depth, None, spread, left + 0 * depth))
+        return answers
+"""
+
+
+def test_what_the_method_cannot_vouch_for_is_left_out(tmp_path):
+    (tmp_path / "sure.py").write_text(SURE)
+    restorer = Restorer.of(MethodChoice(method=f"{tmp_path}/sure.py:Sure", max_error_m=0.01))
+    found = restorer.restore(COLOR, sensor_depth(), K)
+    half = SIZE[0] // 2
+    assert (found.depth[:, :half] > 0).all() and (found.depth[:, half:] == 0).all()
+    assert found.spread is not None and found.spread[0, 0] == np.float32(0.004)
+    nearest = Restorer.of(MethodChoice(method="nearest", max_error_m=0.01))
+    with pytest.raises(ToolkitError, match="--max-error"):
+        nearest.restore(COLOR, sensor_depth(), K)
+
+
+def test_where_there_is_no_glass_the_sensor_stays(tmp_path):
+    (tmp_path / "sure.py").write_text(SURE)
+    choice = MethodChoice(method=f"{tmp_path}/sure.py:Sure", where="glass")
+    found = Restorer.of(choice).restore(COLOR, sensor_depth(), K)
+    half = SIZE[0] // 2
+    assert np.array_equal(found.depth[:, half:], sensor_depth()[:, half:])  # holes, too
+    assert (found.depth[:, :half] > 0).all() and found.changed[:, :half].any()
+    assert not found.changed[:, half:].any()
+
+
+@pytest.mark.parametrize("given", ["10", "10mm", "1cm", "0.01m"])
+def test_the_largest_error_is_given_in_millimetres(given):
+    words = ["rec", "--out", "o", "--max-error", given]
+    options, _ = parse_options(RestoreOptions, words, "std-restore")
+    assert options.choice.max_error_m == pytest.approx(0.01)
+    again = words_of(options)
+    assert parse_options(RestoreOptions, again, "std-restore")[0] == options
+
+
+@pytest.mark.parametrize("given", ["ten", "10 m", "-1", "0mm"])
+def test_another_largest_error_is_refused(given):
+    with pytest.raises((UsageError, SystemExit), match=r"max-error|^2$"):
+        parse_options(RestoreOptions, ["rec", "--out", "o", "--max-error", given], "std-restore")
