@@ -54,7 +54,7 @@ class CompactDRConfig:
     depth_channels: tuple[int, int, int, int, int] = (16, 24, 32, 64, 96)
     channels: tuple[int, int, int, int, int] = (32, 48, 64, 96, 128)
     group: int = 8
-    longest: int = 448
+    longest: int = 320
     input_size: tuple[int, int] | None = None
 
 

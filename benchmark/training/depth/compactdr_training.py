@@ -18,6 +18,8 @@ _EDGE_WEIGHTS = (1.0, 5.0, 5.0)
 
 # Relative error whose square weighs as much as itself, and from which on it grows no faster.
 _USUAL, _FAR = 0.05, 0.2
+# Spreads from which on an error counts by its logarithm.
+_FAR_SPREADS = 5.0
 
 
 class CompactDRTarget(NamedTuple):
@@ -47,7 +49,8 @@ class CompactDRLoss:
         moved: the same of the residual's depth alone, on glass and metal.
         slopes: Sobel sums of the error of the answer.
         masks, edges, normals, trust, off: of the heads.
-        spread: negative logarithm of the Laplace density of the error.
+        spread: negative logarithm of the Laplace density of the error, which grows more slowly from
+            5 spreads on: a network that is far off would learn of nothing else.
         clear, objects: see above.
         right_mm, right_share: a measurement is right within the larger of the two, the second a
             share of its depth.
@@ -55,16 +58,16 @@ class CompactDRLoss:
         gap: metres; neighbours farther apart in depth have an occlusion edge between them.
     """
 
-    depth: float = 10.0
-    answer: float = 5.0
-    moved: float = 5.0
-    slopes: float = 1.0
-    masks: float = 1.0
-    edges: float = 0.2
-    normals: float = 0.2
-    trust: float = 0.5
-    off: float = 0.5
-    spread: float = 0.05
+    depth: float = 4.0
+    answer: float = 2.0
+    moved: float = 2.0
+    slopes: float = 0.5
+    masks: float = 6.0
+    edges: float = 1.0
+    normals: float = 0.5
+    trust: float = 3.0
+    off: float = 2.0
+    spread: float = 0.1
     clear: float = 4.0
     objects: float = 2.0
     right_mm: float = 5.0
@@ -102,7 +105,10 @@ class CompactDRLoss:
         parts["off"] = _of_logits(looked.off, off, weight)
         spread = looked.spread / true.clamp(min=0.05)
         apart = _relative(looked.depth - true, true, known).abs().detach()
-        parts["spread"] = step.weighted_mean(apart / spread + spread.log(), weight)
+        times = apart / spread
+        grown = _FAR_SPREADS * (1 + (times / _FAR_SPREADS).clamp(min=1).log())
+        times = torch.where(times > _FAR_SPREADS, grown, times)
+        parts["spread"] = step.weighted_mean(times + spread.log(), weight)
         total = torch.stack([getattr(self, name) * part for name, part in parts.items()]).sum()
         return step.Loss(total, {name: part.detach() for name, part in parts.items()})
 
