@@ -113,16 +113,12 @@ class FiledCameras:
         lenses = [x for x in self.lenses if x is not None]
         if not lenses:
             return None
-        for i, other in enumerate(lenses):
-            a, b = ([x.fx, x.fy, x.cx, x.cy, *x.distortion] for x in (lenses[0], other))
-            same = len(a) == len(b) and lenses[0].model == other.model
-            if not same or not np.allclose(a, b, rtol=1e-5, atol=1e-6):
-                raise ToolkitError(
-                    "the images have different intrinsics", path=self.path,
-                    value=self.keys[i] if self.keys else i,
-                    hint="one scene has one camera; give its intrinsics with --intrinsics, or "
-                    "import the images of each camera as a scene",
-                )  # fmt: skip
+        if (other := next((i for i, x in enumerate(lenses) if x != lenses[0]), None)) is not None:
+            raise ToolkitError(
+                "the images have different intrinsics", path=self.path,
+                value=self.keys[other] if self.keys else other,
+                hint="give those of one camera with --intrinsics",
+            )  # fmt: skip
         return lenses[0]
 
 

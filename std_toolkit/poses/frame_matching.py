@@ -42,6 +42,7 @@ def match_frames(
     *,
     max_dt: float = 0.02,
     first_number: int | None = None,
+    what: str = "camera poses",
 ) -> dict[int, int]:
     """Find the pose of each frame: by name, else time stamp, number in the name, or frame id.
 
@@ -52,6 +53,7 @@ def match_frames(
         frames: frames of the scene.
         max_dt: largest difference of time stamps in seconds.
         first_number: number of the pose of the first image, if the user states it.
+        what: what the rows of `filed` are, for the line that is printed.
 
     Returns:
         Row of `filed.matrices` by frame id, in the order of the frames.
@@ -89,7 +91,7 @@ def match_frames(
         )  # fmt: skip
     first = next(iter(best))
     shown = next(f.color for f in frames if f.id == first)
-    logger.info("camera poses: pose %r belongs to %s", keys[best[first]], shown)
+    logger.info("%s: %r belongs to %s", what, keys[best[first]], shown)
     _refuse_from_one(filed, frames, best, first_number)
     best = {frame: row for frame, row in best.items() if row not in filed.lost}
     if not best:
