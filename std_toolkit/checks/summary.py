@@ -74,11 +74,7 @@ class SceneSummary:
         rows = [
             ("scene", f"{self.name} ({self.source or 'unknown source'})"),
             *(("camera", line) for line in self.cameras[:_MOST_CAMERAS]),
-            *(
-                [("camera", f"... {more} more")]
-                if (more := len(self.cameras) - _MOST_CAMERAS) > 0
-                else []
-            ),
+            *(("camera", f"... {n} more") for n in [len(self.cameras) - _MOST_CAMERAS] if n > 0),
             ("frames", f"{self.frames}, {have_depth}"),
             ("poses", self._poses()),
             ("scale", self.scale or "none"),

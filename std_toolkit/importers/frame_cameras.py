@@ -14,10 +14,13 @@ import numpy as np
 from std_toolkit import errors, log
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.filed_cameras import camera_of_fields, chosen_camera, filed_cameras
-from std_toolkit.geometry.filed_lens import plain_key
 from std_toolkit.geometry.filed_numbers import number
 from std_toolkit.geometry.intrinsics import Intrinsics
-from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
+from std_toolkit.importers.intrinsics import (
+    coefficients_of_frames,
+    read_intrinsics,
+    with_distortion,
+)
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.io.regular import read_text
@@ -212,13 +215,11 @@ def _in_document(path: Path, size: tuple[int, int]) -> _Rows | None:
     document = read_camera_document(path, size)
     if not isinstance(document, Mapping):
         return None
-    listed = next(
-        ((k, v) for k, v in document.items() if plain_key(k) == "perframeintrinsiccoeffs"), None
-    )
-    if listed is not None and isinstance(listed[1], list) and listed[1]:
+    key, listed = coefficients_of_frames(document)
+    if listed:
         base = chosen_camera(filed_cameras(document, path, size=size), path, None).intrinsics
-        return _Rows(path, [_coefficients(row, base, path, f"{listed[0]}[{i}]")
-                            for i, row in enumerate(listed[1])])  # fmt: skip
+        lenses = [_coefficients(x, base, path, f"{key}[{i}]") for i, x in enumerate(listed)]
+        return _Rows(path, lenses)
     frames = document.get("frames")
     rows = [r for r in frames if isinstance(r, Mapping)] if isinstance(frames, list) else []
     keys = [str(next((r[k] for k in _FRAME_NAMES if k in r), "")) for r in rows]
@@ -229,7 +230,7 @@ def _in_document(path: Path, size: tuple[int, int]) -> _Rows | None:
     for i, row in enumerate(rows):
         found = camera_of_fields({**outer, **row}, path, name=f"frames[{i}]", size=size)
         lenses.append(replace(found.intrinsics, notes=(f"{path}: {found.lens}",)))
-    return _Rows(path, list(lenses), keys)
+    return _Rows(path, lenses, keys)
 
 
 def _coefficients(row: Any, base: Intrinsics, path: Path, at: str) -> Intrinsics | None:

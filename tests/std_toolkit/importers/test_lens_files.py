@@ -342,3 +342,15 @@ def test_intrinsics_replace_those_that_a_file_of_poses_lacks(tmp_path: Path) -> 
     (tmp_path / "t.json").write_text(json.dumps(omni))
     with pytest.raises(ToolkitError, match=r"camera_model.*OMNI"):
         read_cameras(tmp_path / "t.json").lens()
+
+
+def test_intrinsics_of_each_image_are_named_where_one_is_wanted(tmp_path: Path, caplog) -> None:
+    document = {"w": 64, "h": 48, "K": K, "perFrameIntrinsicCoeffs": [[60, 60, 31.5, 23.5]] * 2}
+    path = tmp_path / "metadata.json"
+    path.write_text(json.dumps(document))
+    read_intrinsics(str(path))
+    assert "image to image" not in caplog.text
+    document["perFrameIntrinsicCoeffs"][1] = [61, 61, 31.5, 23.5]
+    path.write_text(json.dumps(document))
+    read_intrinsics(str(path))
+    assert "metadata.json: the intrinsics change from image to image" in caplog.text
