@@ -28,8 +28,8 @@ LIST_KEYS = (
     "acameralensdistortion",
     "distortions", "distcoeffsmat", "coefficients", "coeffs", "coeff", "kc", "dist", "d",
 )  # fmt: skip
-# LENS_DISTORTION of Android's Camera2 is OpenCV's model in another order. Its names, and keys beside
-# it that show that a document is Android's, where it is spelled lens_distortion.
+# LENS_DISTORTION of Android's Camera2 is OpenCV's model in another order. Its names, and keys that
+# show beside it that a document is Android's, where it is spelled lens_distortion.
 _ANDROID_NAMES = ("lensDistortion", "LENS_DISTORTION", "ACAMERA_LENS_DISTORTION")
 _ANDROID_KEYS = re.compile(
     r"lens(intrinsiccalibration|pose(rotation|translation|reference)|facing)"
