@@ -17,7 +17,6 @@ from std_toolkit.geometry.se3 import nearest_rotation, rotation_of_quat
 from std_toolkit.settings import Settings, limit
 
 Place = Callable[[int], str]
-_SHAPES = ((4, 4), (3, 4), (16,), (12,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +50,7 @@ def poses_or_lost(
         M = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         M = np.empty(0)
-    if len(M) != len(values) or M.shape[1:] not in _SHAPES:
+    if len(M) != len(values) or not _is_matrix(M.shape[1:]):
         rows = [_pose_or_lost(value, path, at(i)) for i, value in enumerate(values)]
         lost = frozenset(i for i, row in enumerate(rows) if row is None)
         return np.array([np.eye(4) if row is None else row for row in rows]), lost
@@ -72,7 +71,7 @@ def _pose_or_lost(value: Any, path: Path, at: str) -> Array | None:
         if flat and all(x is None or str(x).lower() in ("", "null", "none", "nan") for x in flat):
             return None
     else:
-        if shape in _SHAPES:
+        if _is_matrix(shape):
             matrices, lost = poses_or_lost([value], path, lambda _: at)
             return None if lost else np.asarray(matrices[0])
     return as_matrix(value, path, at)
@@ -86,6 +85,10 @@ def _flat(value: Any) -> Iterator[Any]:
         yield value
 
 
+def _is_matrix(shape: tuple[int, ...]) -> bool:
+    return shape in ((4, 4), (3, 4), (16,), (12,))
+
+
 def as_matrix(value: Any, path: Path, at: str) -> Array:
     """Return 16 or 12 numbers in any nesting as (4, 4), of which `rigid` makes a pose.
 
@@ -96,7 +99,7 @@ def as_matrix(value: Any, path: Path, at: str) -> Array:
         M = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ToolkitError("not a matrix of numbers", path=path, field=at) from error
-    if M.shape not in _SHAPES:
+    if not _is_matrix(M.shape):
         raise ToolkitError(
             "a camera pose needs 4x4 (or 3x4) numbers", path=path, field=at,
             value=f"{M.size} numbers",
