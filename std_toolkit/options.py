@@ -91,6 +91,9 @@ class KnownCameras(CheckedOptions):
     cameras_unit: Literal["m", "cm", "mm", "unknown"] | None = None
     """unit of these positions; unknown estimates the scale (default: m; required for
     transforms.json and COLMAP models)"""
+    cameras_quaternion: Literal["wxyz", "xyzw"] | None = None
+    """order of quaternions in files of poses that do not name it (default: wxyz for nanoseconds and
+    commas, as in EuRoC; xyzw for seconds, as in TUM)"""
     cameras_use: Literal["keep", "refine"] = "keep"
     """keep these poses as they are, or refine them by bundle adjustment, with their scale held"""
     cameras_max_px: Positive = 4.0

@@ -3,11 +3,11 @@
     python tools/kills.py [COMMAND ...] [--kills 50] [--seed 0] [--work DIR]
 
 Commands: import (with camera poses), export, curate (`std-curate run`), bench, restore, sim, scan,
-pack, train, annotate (a script of edits and saves), web and window (`std-annotate` with edits that
-were not saved, which are saved at the end); all by default. A third of the kills each are SIGKILL,
-SIGTERM and SIGINT. The latter two must end the command within 5 s, with a line that says how to
-resume unless nothing was begun or all was done, and without a stack trace of a library. Of meshes,
-the triangles are compared, as Open3D lays out a texture differently each time.
+pack, train, mine, annotate (a script of edits and saves), web and window (`std-annotate` with edits
+that were not saved, which are saved at the end); all by default. A third of the kills each are
+SIGKILL, SIGTERM and SIGINT. The latter two must end the command within 5 s, with a line that says
+how to resume unless nothing was begun or all was done, and without a stack trace of a library. Of
+meshes, the triangles are compared, as Open3D lays out a texture differently each time.
 Prints a line per kill, with the processor time from the signal on, and a table; exits with 1 after
 a fault.
 """
@@ -129,6 +129,7 @@ def cases(top: Path, names: list[str]) -> dict[str, Case]:
         ("sim",): _sim,
         ("scan",): _scan,
         ("pack", "train"): _train,
+        ("mine",): _mine,
         ("annotate", "web", "window"): _annotate,
     }
     unknown = set(names) - {name for group in makers for name in group}
@@ -286,6 +287,35 @@ def _train(top: Path) -> dict[str, Case]:
         leave_out=(".std/",),
     )  # fmt: skip
     return {"pack": packing, "train": case}
+
+
+def _mine(top: Path) -> dict[str, Case]:
+    """`std-train mine` on three labelled scenes of two frames: links, a pack, weights, scores."""
+    import numpy as np
+
+    from std_toolkit import RenderOptions, render_ground_truth
+    from std_toolkit.io.images import write_color
+    from tests.scene_on_disk import write_scene
+
+    scenes, written = top / "mine", top / "mine-scenes"
+    if not scenes.exists():
+        shutil.rmtree(written, ignore_errors=True)
+        for i, name in enumerate("abc", 1):
+            scene = write_scene(written / name, frames=2)
+            for frame in scene.frames:
+                write_color(scene.color_path(frame), scene.read_color(frame) // np.uint8(i))
+            render_ground_truth(scene, RenderOptions(renderer="raycast")).raise_if_failed()
+        written.rename(scenes)
+    case = Case(
+        lambda out: program(
+            "std-train", "mine", "--method", "dfnet", "--scenes", scenes, "--steps", 2,
+            "--batch-size", 2, "--readers", 0, "--accelerator", "cpu", "--engine", "serial",
+            "--out", out / "mine",
+        ),
+        products=("training/best.", "training/last.safetensors", "images.parquet", "packs/"),
+        leave_out=(".std/", "pack.json"),  # which names the folder
+    )  # fmt: skip
+    return {"mine": case}
 
 
 def _annotate(top: Path) -> dict[str, Case]:

@@ -14,6 +14,8 @@ from std_toolkit.options import usable_cores
 # Names that tables, pages and terminals show. Results may come from somebody else.
 Name = Annotated[str, msgspec.Meta(max_length=300, pattern=r'^[^\x00-\x1f\x7f<>"]*$')]
 
+Count = Annotated[int, msgspec.Meta(ge=0)]
+
 MANIFEST = "run.json"
 
 _PACKAGES = ("numpy", "opencv-python-headless", "pandas", "pyarrow", "scipy", "torch")
@@ -41,7 +43,7 @@ class _Frames(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """
 
     split: Name
-    frames: int
+    frames: Count
     frames_sha256: str
     method: str
     preset: str
@@ -64,9 +66,9 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """
 
     protocol: Name
-    batch_size: int
+    batch_size: Count
     depth_from: str
-    released_loader: int = 0
+    released_loader: Count = 0
     probes: list[str] = []
 
 
@@ -166,7 +168,7 @@ class GraspSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     limits: dict[str, float] = {}
     seed: int
-    attempts: int
+    attempts: Count
     camera: Name
     depth_model_sha256: str
     gripper: Name
@@ -218,7 +220,7 @@ class DumpSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     split: Name
     camera: Name
     contacts: Name
-    frames: int
+    frames: Count
 
 
 class DumpManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -250,7 +252,7 @@ class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         given_truth: whether the method receives ground truth.
     """
 
-    batch_size: int
+    batch_size: Count
     depth: str
     depth_preset: str
     depth_settings: dict[str, str]
@@ -297,14 +299,14 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     split: Name
     results: Name
     results_sha256: str
-    targets: int
+    targets: Count
     targets_sha256: str
     renderer: Name
     sensors: tuple[str, ...] = ()
     errors: tuple[str, ...] = ("vsd", "mssd", "mspd")
-    symmetry_steps: int | None = None
+    symmetry_steps: Count | None = None
     vsd_delta_mm: float = 15.0
-    columns: int = 1
+    columns: Count = 1
 
 
 class BopManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):

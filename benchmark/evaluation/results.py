@@ -39,6 +39,9 @@ ERROR = "error"  # why the frame or the method failed; empty otherwise
 
 NOT_FINITE = "not_finite"  # pixels of the prediction that are NaN or infinite
 
+# Columns of counts in any table; others hold -1 where a row has none.
+_COUNTS = (INDEX, NOT_FINITE, "n_pixels", "n_answered", "pixels", "held", "lost")
+
 # Columns of a frame that could not be read: no grid, and integers so that the columns keep their
 # type.
 UNREAD = {NOT_FINITE: 0, "grid": "", "subset": "", "n_pixels": 0, "n_answered": 0}
@@ -74,13 +77,14 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> Non
     """Check that a table read from a file has the needed columns, and numbers where they belong.
 
     Raises:
-        ToolkitError: columns are missing, hold text instead of numbers, or names with control
-            characters or angle brackets, which would be markup on a page.
+        ToolkitError: columns are missing, hold text instead of numbers, names with control
+            characters or angle brackets, which would be markup on a page, or counts below 0.
     """
     needed = list(needed)
     if absent := [name for name in needed if name not in table]:
         raise ToolkitError("the table lacks columns", path=path, field=", ".join(absent))
-    for name in needed:
+    counts = [name for name in _COUNTS if name in table]
+    for name in dict.fromkeys([*needed, *counts]):
         column = table[name]
         if name in _TEXTS - {ERROR}:
             strange = (v for v in column.unique() if isinstance(v, str) and not _is_name(v))
@@ -90,6 +94,13 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> Non
             continue
         wrong = next(v for v in column if v is not None and not isinstance(v, int | float))
         raise ToolkitError("the column needs numbers", path=path, field=name, value=str(wrong)[:40])
+    for name in counts:
+        below = table[name][~(table[name] >= 0)]
+        if len(below):
+            raise ToolkitError(
+                "a count is 0 or more", path=path, field=f"{name} of row {below.index[0]}",
+                value=float(below.iloc[0]), hint="delete it and run the same command again",
+            )  # fmt: skip
 
 
 def _is_name(text: str) -> bool:

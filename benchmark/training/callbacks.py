@@ -13,11 +13,11 @@ from torch.utils.tensorboard import SummaryWriter
 
 from benchmark.methods.weights import save_weights
 from benchmark.training.module import RestorerTraining
-from benchmark.training.run_files import BEST, CHECKPOINT, SCORES, Rows, Speed
+from benchmark.training.run_files import BEST, CHECKPOINT, SCORES, BestScores, Rows, Speed
 from benchmark.training.step import BATCH_NORM_FRAMES
 from benchmark.training.validation import Validator
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import write_document
+from std_toolkit.io.documents import digest_file, write_document
 from std_toolkit.log import logger
 
 
@@ -136,8 +136,12 @@ class Watch(pl.Callback):
         self.validator.gallery(network, device, self.folder / "gallery" / f"step-{step:07d}.jpg")
         if better:
             save_weights(network, self.folder / BEST)
-            known = {key: value for key, value in scores.items() if not math.isnan(value)}
-            write_document(self.folder / SCORES, {"step": step, "ranked_by": name, "scores": known})
+            known: dict[str, float | None] = {
+                key: value for key, value in scores.items() if not math.isnan(value)
+            }
+            digest = digest_file(self.folder / BEST)
+            row = BestScores(step=step, ranked_by=name, scores=known, weights=digest)
+            write_document(self.folder / SCORES, row)
         logger.info(
             "step %d: %s %.4f%s; %.1f samples/s, %.0f %% of the time waiting for data",
             step,

@@ -16,7 +16,7 @@ from benchmark.methods.registry import grasp_planners, pose_methods, restorers
 from benchmark.methods.weights import read_weights
 from benchmark.metrics.depth import harm, holes
 from benchmark.training.config import CONFIG, TrainConfig
-from benchmark.training.run_files import BEST, SCORES, BestScores, read_log
+from benchmark.training.run_files import BEST, BestScores, read_best, read_log
 from benchmark.training.run_note import RUN_NOTE, PartNote, RunNote
 from benchmark.training.step import BATCH_NORM_FRAMES
 from std_toolkit import __version__
@@ -56,7 +56,7 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
 
     Raises:
         ToolkitError: no training, one that has not come to its first validation, or weights that
-            are not finite.
+            are not finite, changed or damaged.
     """
     config = read_document(run / CONFIG, TrainConfig)
     if not (run / BEST).is_file():
@@ -66,7 +66,7 @@ def export_weights(run: Path, out: Path, *, scores: str = "") -> Path:
             hint="run the same std-train command again to go on",
         )
     note = read_document(run / RUN_NOTE, RunNote)
-    best = read_document(run / SCORES, BestScores)
+    best = read_best(run)
     state = {
         name: half(tensor, name, run / BEST) for name, tensor in read_weights(run / BEST).items()
     }

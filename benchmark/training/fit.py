@@ -127,6 +127,10 @@ def make_network(
             )
         trainable.imagenet(network, beginning.imagenet)
     if beginning.weights is not None:
+        if beginning.weights.name == run_files.BEST:
+            beside = beginning.weights.parent
+            if (beside / run_files.SCORES).is_file():
+                run_files.read_best(beside)
         trainable.begin(network, beginning.weights)
     if trainable.channels_last:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in its stub

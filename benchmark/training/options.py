@@ -260,6 +260,10 @@ class GraspPackCommand(GraspPackOptions):
     jobs: JobOptions = field(default_factory=JobOptions)
 
 
+# Links to the user's scenes tell those that are trained on from those that are scored.
+_MINE = Writes("results", ("sets", "scenes"), inputs=("scenes/train", "scenes/test"))
+
+
 @dataclass(frozen=True, kw_only=True)
 class MineOptions:
     """Fine-tune the shipped weights on your own objects, and score them before and after.
@@ -269,7 +273,7 @@ class MineOptions:
     to resume.
     """
 
-    out: Path = field(metadata={"option": "out", "writes": Writes("results", ("sets", "scenes"))})
+    out: Path = field(metadata={"option": "out", "writes": _MINE})
     """folder of sets, packs, training and results"""
     meshes: Path | None = None
     """folder of your meshes; sub-folders are categories, and `assets.json` gives units and more"""

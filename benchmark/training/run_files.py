@@ -15,6 +15,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.documents import digest_file, read_document
 from std_toolkit.io.foreign_files import csv_rows
 from std_toolkit.io.regular import read_text
 
@@ -31,14 +32,32 @@ class BestScores(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         ranked_by: name of the score that decided.
+        weights: digest of the weights; empty in trainings of 0.1.0.
     """
 
     step: Annotated[int, msgspec.Meta(ge=0)]
     ranked_by: str = ""
     scores: dict[str, float | None]
+    weights: str = ""
 
 
 CHECKPOINT = "last.ckpt"  # what a resumed training needs
+
+
+def read_best(run: Path) -> BestScores:
+    """`best.json` of a training, whose weights are those that it was written for.
+
+    Raises:
+        ToolkitError: no such document, or `best.safetensors` was changed or damaged since.
+    """
+    best = read_document(run / SCORES, BestScores)
+    if best.weights and digest_file(run / BEST) != best.weights:
+        raise ToolkitError(
+            f"was changed or damaged since {SCORES} was written",
+            path=run / BEST,
+            hint="run the same std-train command again to go on, or restore the file",
+        )
+    return best
 
 
 def read_log(path: Path, *, numbers: Sequence[str] = ("step",)) -> list[dict[str, str]]:

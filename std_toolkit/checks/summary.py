@@ -12,6 +12,9 @@ from std_toolkit.scene.check_flags import read_check_flags
 from std_toolkit.scene.label_verdicts import UNCHECKED, LabelVerdict, label_verdicts
 from std_toolkit.scene.scene import Scene
 
+# A recording of a phone may have a camera for each image.
+_MOST_CAMERAS = 8
+
 
 @dataclass(frozen=True)
 class SceneSummary:
@@ -70,7 +73,8 @@ class SceneSummary:
             have_depth += f" (corrected by {self.depth_correction:g})"
         rows = [
             ("scene", f"{self.name} ({self.source or 'unknown source'})"),
-            *(("camera", line) for line in self.cameras),
+            *(("camera", line) for line in self.cameras[:_MOST_CAMERAS]),
+            *(("camera", f"... {n} more") for n in [len(self.cameras) - _MOST_CAMERAS] if n > 0),
             ("frames", f"{self.frames}, {have_depth}"),
             ("poses", self._poses()),
             ("scale", self.scale or "none"),

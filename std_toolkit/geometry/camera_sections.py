@@ -28,6 +28,8 @@ _NAME_KEYS = ("name", "cameraname", "cameraid", "label", "serial", "serialnumber
 _OF_OTHERS = re.compile(r"depth|infra|^ir|undist")
 # Sections beside a camera that may speak of its lens.
 _OF_LENS = re.compile(r"dist|lens|camera|param|resolution|model|fisheye|mirror|size|rgbd|viewer")
+# Keys of Android's Camera2, such as android.lens.radialDistortion.
+_ANDROID = re.compile(r"(?:^|\.)lens\.((?:radialD|d)istortion\w*)$")
 _SUFFIXED = re.compile(r"^(fx|fy|cx|cy|mx|my|ppx|ppy|k[1-6]|p[12])_([a-z]\w*)$")
 _PREFIXED = re.compile(r"^(\w*[a-z0-9])_(fx|fy|cx|cy|ppx|ppy|k[1-6]|p[12])$")
 _NUMBERED = re.compile(
@@ -43,7 +45,9 @@ def expanded(data: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in data.items():
         key = str(key)
         flat = not isinstance(value, Mapping | list) and value is not None
-        if "." in key:
+        if match := _ANDROID.search(key):
+            found[f"lens{match.group(1)[0].upper()}{match.group(1)[1:]}"] = value
+        elif "." in key:
             group, _, last = key.rpartition(".")
             groups.setdefault(group, {})[last] = value
         elif match := (_SUFFIXED if flat else _NUMBERED).match(key):

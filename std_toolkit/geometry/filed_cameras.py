@@ -158,7 +158,7 @@ def _camera(name: str, fields: Mapping[str, Any], size: tuple[int, int] | None) 
     return FiledCamera(
         name=name,
         intrinsics=intrinsics,
-        lens=lens_sentence(intrinsics, lens.keys),
+        lens=lens_sentence(intrinsics, lens.sources),
         depth_unit=filed_depth_unit(plain, of_depth="depth" in name.lower()),
     )
 

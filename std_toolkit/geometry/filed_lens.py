@@ -25,8 +25,16 @@ LIST_KEYS = (
     "distortioncoefficient", "distcoeffs", "distcoeff", "distcoefs", "distcoef",
     "distcoefficients", "distortionparameters", "distortionparams", "distortionparam",
     "distparams", "distortionvector", "distortionvec", "cameradistortion", "lensdistortion",
+    "acameralensdistortion",
     "distortions", "distcoeffsmat", "coefficients", "coeffs", "coeff", "kc", "dist", "d",
 )  # fmt: skip
+# LENS_DISTORTION of Android's Camera2 is OpenCV's model in another order. Its names, and keys that
+# show beside it that a document is Android's, where it is spelled lens_distortion.
+_ANDROID_NAMES = ("lensDistortion", "LENS_DISTORTION", "ACAMERA_LENS_DISTORTION")
+_ANDROID_KEYS = re.compile(
+    r"lens(intrinsiccalibration|pose(rotation|translation|reference)|facing)"
+)
+_ANDROID_ORDER = "k1 k2 k3 p1 p2"
 _RADIAL, _TANGENTIAL = (
     ("radialdistortion", "radial", "radialcoefficients", "radialdistortioncoefficients"),
     ("tangentialdistortion", "tangential", "tangentialcoefficients"),
@@ -45,7 +53,8 @@ _LENSLIKE = re.compile(
 )
 _NO_LENS = re.compile(
     r"(min|max|near|far|focus|working|threshold|thr|th)dist|dist(min|max|th|thresh|threshold)$"
-    r"|undist|intrinsiccoeff|lens(position|id|name|serial|mount|focus|spec|shading)|model(id|path|file|number|index|nr|year)|(cad|mesh|object|depth|noise|imu|world)model"
+    r"|undist|intrinsiccoeff|lens(pos|id|name|serial|mount|focus|spec|shading|facing|intrinsiccalib|info|aperture|focal)"
+    r"|model(id|path|file|number|index|nr|year)|(cad|mesh|object|depth|noise|imu|world)model"
 )
 # Names that mention one of these are lens models other than OpenCV's, not names of devices.
 _FOREIGN = re.compile(
@@ -67,6 +76,7 @@ class FiledLens:
         model: as in `Camera`.
         coefficients: in the model's order; empty for a pinhole.
         keys: names of the keys that were read.
+        sources: these keys, with the order of the coefficients where it is not OpenCV's.
 
     Args:
         data: keys as filed -> values: those of the camera, and of what encloses it.
@@ -95,6 +105,10 @@ class FiledLens:
         else:
             self.coefficients = self._from_names(named)
         self._refuse_rest()
+        self.sources = [
+            f"{k}, in Android's order {_ANDROID_ORDER}" if self._is_android(k) else k
+            for k in self.keys
+        ]
 
     def _listed(self) -> list[float] | None:
         found: dict[str, list[float]] = {}
@@ -106,9 +120,21 @@ class FiledLens:
                 if values[0] == 0:
                     continue
                 raise ToolkitError("must be a list of numbers", field=key, value=self.data[key])
+            if self._is_android(key):
+                k1, k2, k3, p1, p2 = values
+                values = [k1, k2, p1, p2, k3]
             found[key] = values
         self.keys += found
         return self._only(found)
+
+    def _is_android(self, key: str) -> bool:
+        """Whether a key is Camera2's list of five coefficients."""
+        if not plain_key(key).endswith("lensdistortion"):
+            return False
+        values = self.data[key]
+        if not isinstance(values, list) or len(values) != 5:
+            return False
+        return key in _ANDROID_NAMES or any(_ANDROID_KEYS.search(plain) for plain in self.plain)
 
     def _split(self) -> list[float] | None:
         """Radial and tangential coefficients under two keys."""

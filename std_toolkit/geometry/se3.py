@@ -92,18 +92,10 @@ class SE3:
             raise ToolkitError(
                 "a rotation quaternion (w x y z) must have length 1", value=q.tolist()
             )
-        w, x, y, z = q / norm
-        R = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
         if not np.isfinite(translation).all():
             raise ToolkitError("a translation is not finite", value=translation.tolist())
         # Copied, because the arrays of a simulation change later.
-        return SE3(R, translation.copy())
+        return SE3(rotation_of_quat(q / norm), translation.copy())
 
     @staticmethod
     def exp(xi: ArrayLike) -> SE3:
@@ -171,6 +163,19 @@ class SE3:
     def flat(self) -> list[float]:
         """The 16 entries of the matrix, row-major, as poses are written to JSON."""
         return [float(x) for x in self.matrix().ravel()]
+
+
+def rotation_of_quat(wxyz: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), w x y z."""
+    w, x, y, z = np.moveaxis(wxyz, -1, 0)
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return np.moveaxis(R, (0, 1), (-2, -1))
 
 
 def nearest_rotation(R: ArrayLike, *, tolerance: float = ROTATION_TOLERANCE) -> Array:

@@ -27,6 +27,9 @@ from std_toolkit.poses.camera_file import read_cameras
 from std_toolkit.poses.known_cameras import read_known_poses
 from std_toolkit.scene import Frame
 
+# A recording of a phone may have a camera for each image.
+_MOST_CAMERAS = 8
+
 Kind = Literal["found", "read", "guessed", "ignored", "refused"]
 
 
@@ -111,13 +114,15 @@ def _examine_recording(request: ImportRequest, format_name: str | None, report: 
         if name == "ros":
             request = replace(request, workspace=Path(workspace))
         recording = importer.read_recording(name, request)
-        for key, camera in recording.cameras.items():
+        for key, camera in list(recording.cameras.items())[:_MOST_CAMERAS]:
             count = sum(f.camera == key for f in recording.frames)
             report.add(
                 "found",
                 f"camera {key}: {camera.width}x{camera.height}, {count} frames, fx {camera.fx:.2f} "
                 f"fy {camera.fy:.2f} cx {camera.cx:.2f} cy {camera.cy:.2f}",
             )
+        if len(recording.cameras) > _MOST_CAMERAS:
+            report.add("found", f"{len(recording.cameras) - _MOST_CAMERAS} more cameras")
         lost = [f.name for f in recording.frames if f.depth is None]
         if lost:
             more = " ..." if len(lost) > 5 else ""

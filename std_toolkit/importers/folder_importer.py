@@ -6,16 +6,15 @@ from itertools import pairwise
 from pathlib import Path
 
 from std_toolkit import errors, log
-from std_toolkit.geometry.camera import Camera
-from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.importers.depth_files import DEPTH_SUFFIXES
 from std_toolkit.importers.foreign_files import natural_key
+from std_toolkit.importers.frame_cameras import frame_cameras
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
-from std_toolkit.importers.intrinsics import read_intrinsics, with_distortion
 from std_toolkit.importers.layouts import Layout, find_layout
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.pairing import paired
 from std_toolkit.io.images import COLOR_SUFFIXES, image_size
+from std_toolkit.scene import Frame
 from std_toolkit.scene.document import safe_name
 
 # The unit of RealSense, Kinect and most data sets; `check_unit` detects other units.
@@ -67,8 +66,13 @@ class FolderImporter:
                 color, depth, by=request.pair, skip_unpaired=request.skip_unpaired
             )
         size = _common_size(color)
-        camera, stated = _camera(request, size)
         names = frame_names(list(color))
+        known = [
+            Frame(id=i, name=names[k], color=f"color/{p.name}", timestamp=seconds.get(k))
+            for i, (k, p) in enumerate(color.items())
+        ]
+        found = frame_cameras(request, known, list(color), size)
+        stated = found.depth_unit
         warn_about_gaps(list(color))
         fixed = None if layout is None else layout.depth_scale
         scale = request.depth_scale or stated or fixed or DEFAULT_DEPTH_SCALE
@@ -85,6 +89,7 @@ class FolderImporter:
                 )
                 if key in depth
                 else None,
+                camera=found.of.get(key, "color"),
                 timestamp=seconds.get(key),
             )
             for i, (key, path) in enumerate(color.items())
@@ -92,7 +97,7 @@ class FolderImporter:
         has_units = any(p.suffix.lower() != ".exr" for p in depth.values())
         return Recording(
             source="import:folder",
-            cameras={"color": camera},
+            cameras=found.cameras,
             frames=frames,
             depth_scale=scale if has_units else None,
             depth_correction=request.depth_correction,
@@ -145,35 +150,6 @@ def _common_size(color: dict[str, Path]) -> tuple[int, int]:
                 hint="one recording has one camera; import them as separate scenes",
             )
     return size
-
-
-def _camera(request: ImportRequest, size: tuple[int, int]) -> tuple[Camera, float | None]:
-    """The camera, and the unit of depth that its file states."""
-    if request.intrinsics is not None:
-        given = request.intrinsics
-        intrinsics = read_intrinsics(given, size=size, camera=request.camera)
-    else:
-        given = str(request.known.cameras)
-        intrinsics = _filed_intrinsics(given)
-    intrinsics = with_distortion(intrinsics, request.distortion)
-    camera = intrinsics.camera(size, path=given, off_centre=request.off_centre)
-    return camera, intrinsics.depth_scale
-
-
-def _filed_intrinsics(path: str) -> Intrinsics:
-    """Intrinsics in the file of known cameras."""
-    from std_toolkit.poses.camera_file import read_cameras
-
-    lens = read_cameras(path).lens()
-    if lens is None:
-        raise errors.ToolkitError(
-            "the file of camera poses has no intrinsics",
-            path=path,
-            hint="give --intrinsics FILE or --intrinsics fx,fy,cx,cy",
-        )
-    for note in lens.notes:
-        log.logger.info("%s", note)
-    return lens
 
 
 FOLDER = FolderImporter()

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import re
 import sqlite3
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from std_toolkit.geometry.mesh import check_mesh_size, mesh_diameter, mesh_exten
 from std_toolkit.geometry.mesh_proof import check_copy
 from std_toolkit.importers.depth_files import check_aligned
 from std_toolkit.io import atomic, exr, images
+from std_toolkit.io.bounded_bags import LARGEST_MESSAGE_BYTES
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, Model, SymmetryModel
 
 if TYPE_CHECKING:
@@ -140,6 +142,36 @@ def check_database(path: Path) -> None:
     if other is not None:
         problem = "has a view or a virtual table; recordings of ROS have none"
         raise ToolkitError(problem, path=path, value=str(other[0])[:80])
+
+
+def check_message_sizes(path: Path, types: Sequence[str]) -> None:
+    """Check that no message of these types in a .db3 is too large; none is read.
+
+    Raises:
+        ToolkitError: one is; its topic is named.
+    """
+    listed = ", ".join("?" * len(types))
+    try:
+        with closing(_database(path)) as database:
+            # The length of a blob stands before it.
+            row = database.execute(
+                "SELECT t.name, m.timestamp, length(m.data) FROM messages m JOIN topics t "
+                f"ON m.topic_id = t.id WHERE t.type IN ({listed}) AND length(m.data) > ? LIMIT 1",
+                (*types, LARGEST_MESSAGE_BYTES),
+            ).fetchone()
+    except sqlite3.Error as error:
+        raise ToolkitError(f"not a readable recording: {error}", path=path) from error
+    if row is not None:
+        refuse_message(path, str(row[0]), int(row[1]), int(row[2]))
+
+
+def refuse_message(path: Path, topic: str, stamp_ns: int, size: int) -> NoReturn:
+    """Raise the error for a message that is larger than an image can be."""
+    raise ToolkitError(
+        f"a message of {size / 2**20:.0f} MB at {stamp_ns * 1e-9:.3f} s; images have at most "
+        f"{LARGEST_MESSAGE_BYTES // 2**20} MB",
+        path=path, field=topic[:200], hint="record smaller or compressed images",
+    )  # fmt: skip
 
 
 def _database(path: Path) -> sqlite3.Connection:

@@ -24,6 +24,9 @@ from std_toolkit.scene.model import RecordedLens
 # Below this number of frames, starting worker processes costs more than it saves.
 _SERIAL_BELOW = 48
 
+# Lines on cameras; a recording of a phone may have a camera for each image.
+_MOST_LINES = 8
+
 # Beyond the range of every RGB-D sensor.
 _FARTHEST_FRAME_M = 30.0
 
@@ -137,8 +140,10 @@ def _undistortions(recording: importer.Recording, fov_deg: float | None) -> dict
                 field=f"camera {frame.camera}",
                 value=recording.cameras[frame.camera].model,
             )
-    for key, undistortion in found.items():
+    for key, undistortion in list(found.items())[:_MOST_LINES]:
         logger.info("camera %s: %s", key, undistortion)
+    if len(found) > _MOST_LINES:
+        logger.info("%d more cameras are undistorted", len(found) - _MOST_LINES)
     return found
 
 

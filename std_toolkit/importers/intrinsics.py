@@ -1,11 +1,14 @@
 """Intrinsics from flags and from the files of cameras and data sets."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.filed_cameras import FiledCamera, chosen_camera, filed_cameras
+from std_toolkit.geometry.filed_lens import plain_key
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.log import logger
@@ -47,8 +50,23 @@ def read_intrinsics(
             path=text,
             hint="give a file, or four numbers: --intrinsics fx,fy,cx,cy",
         )
-    found = filed_cameras(read_camera_document(path, size), path, size=size, wanted=camera)
+    document = read_camera_document(path, size)
+    found = filed_cameras(document, path, size=size, wanted=camera)
+    if any(row != listed[0] for listed in [coefficients_of_frames(document)[1]] for row in listed):
+        logger.warning(
+            "%s: the intrinsics change from image to image; those of the whole recording are taken",
+            path,
+        )
     return told(chosen_camera(found, path, camera), path)
+
+
+def coefficients_of_frames(document: Any) -> tuple[str, list[Any]]:
+    """Key and rows of Record3D's intrinsics of each image; no rows in other documents."""
+    pairs = document.items() if isinstance(document, Mapping) else ()
+    for key, value in pairs:
+        if plain_key(key) == "perframeintrinsiccoeffs" and isinstance(value, list):
+            return str(key), value
+    return "", []
 
 
 def told(found: FiledCamera, source: Path | str) -> Intrinsics:

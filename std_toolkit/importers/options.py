@@ -27,7 +27,8 @@ class ImageOptions:
     depth_correction: float = 1.0
     """factor applied to all depth, from a calibration"""
     intrinsics: str | None = None
-    """intrinsics file, or fx,fy,cx,cy in pixels (default: those of the format)"""
+    """intrinsics file, a folder with one for each image, or fx,fy,cx,cy in pixels (default: those
+    of the format)"""
     camera: str | None = None
     """camera of an intrinsics file with several, by its name in the file, such as cam0"""
     distortion: str | None = None

@@ -27,8 +27,8 @@ def paired(
     Args:
         color, depth: images by frame key.
         by: how to pair them. None: by name; if this leaves images out, by the numbers in the
-            names, by a list beside the folders (associations.txt), or by time where every name is
-            a time stamp, if that leaves none out.
+            names, by a list beside the folders (associations.txt), by an index and a time that
+            agree, or by time where every name is a time stamp, if that leaves none out.
         skip_unpaired: whether images without a partner may be left out.
 
     Raises:
@@ -45,6 +45,7 @@ def paired(
     ways: list[tuple[str, Callable[[], dict[str, str]]]] = [
         ("the numbers in their names", lambda: _by_number(color, depth)),
         ("a list beside the folders", lambda: _by_list(color, depth)),
+        ("index and time in their names", lambda: _by_index_and_time(color, depth)),
         ("the time stamps of their names", lambda: _by_stamps(color, depth)),
     ]
     for words, way in ways:
@@ -164,6 +165,23 @@ def _by_number(color: Images, depth: Images) -> dict[str, str]:
     if set(numbers[0]) != set(numbers[1]):
         return {}
     return {key: numbers[1][n] for n, key in numbers[0].items()}
+
+
+def _by_index_and_time(color: Images, depth: Images) -> dict[str, str]:
+    """Pairs of equal first numbers, if pairing the last ones by time gives the same."""
+    numbers = [
+        {key: [int(n) for n in re.findall(r"\d+", path.stem)] for key, path in images.items()}
+        for images in (color, depth)
+    ]
+    if any(len(n) != 2 for found in numbers for n in found.values()):
+        return {}
+    index = [{n[0]: key for key, n in found.items()} for found in numbers]
+    if index[0].keys() != index[1].keys() or len(index[0]) < max(map(len, numbers)):
+        return {}
+    joined = {key: index[1][n] for n, key in index[0].items()}
+    times = [[float(n[1]) for n in found.values()] for found in numbers]
+    by_time = {list(color)[c]: list(depth)[d] for c, d in pair_stamps(*times)}
+    return joined if joined == by_time else {}
 
 
 def _by_list(color: Images, depth: Images) -> dict[str, str]:

@@ -17,7 +17,12 @@ from std_toolkit.errors import ToolkitError, missing_extra
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.filed_cameras import camera_of_fields
 from std_toolkit.geometry.intrinsics import Intrinsics
-from std_toolkit.importers.foreign_files import check_database, is_ros_recording
+from std_toolkit.importers.foreign_files import (
+    check_database,
+    check_message_sizes,
+    is_ros_recording,
+    refuse_message,
+)
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.intrinsics import read_intrinsics, told, with_distortion
 from std_toolkit.importers.options import ImportRequest
@@ -30,6 +35,7 @@ from std_toolkit.importers.ros_images import (
     pair_stamps,
     write_image,
 )
+from std_toolkit.io.bounded_bags import LARGEST_MESSAGE_BYTES
 from std_toolkit.jobs.door import regular
 from std_toolkit.log import logger
 
@@ -127,6 +133,7 @@ def _opened(source: Path) -> Iterator[Any]:
         regular(path)  # rosbags would wait for a pipe
         if path.suffix == ".db3":
             check_database(path)
+            check_message_sizes(path, (*_IMAGES, _CAMERA_INFO))
     try:
         # Recordings before ROS 2 Iron do not have the definitions of their messages.
         with AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
@@ -149,6 +156,8 @@ def _opened(source: Path) -> Iterator[Any]:
 def _messages(reader: Any, connections: tuple[Any, ...]) -> Iterator[tuple[str, float, Any]]:
     """Topic, seconds of the header's stamp (or of the recorder) and message."""
     for connection, logged_ns, raw in reader.messages(connections=list(connections)):
+        if len(raw) > LARGEST_MESSAGE_BYTES:
+            refuse_message(reader.paths[0], connection.topic, logged_ns, len(raw))
         message = reader.deserialize(raw, connection.msgtype)
         stamp = message.header.stamp
         seconds = stamp.sec + 1e-9 * stamp.nanosec

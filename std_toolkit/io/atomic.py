@@ -11,7 +11,7 @@ import re
 import secrets
 import shutil
 import socket
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -226,7 +226,12 @@ def _remove_parents(made: list[Path]) -> None:
 
 
 def refuse_links(
-    root: Path, *, home: Path | None = None, depth: int | None = None, images: bool = False
+    root: Path,
+    *,
+    home: Path | None = None,
+    depth: int | None = None,
+    images: bool = False,
+    inputs: Collection[str] = (),
 ) -> None:
     """Check that no folder that programs write to leads out of `root`.
 
@@ -240,6 +245,7 @@ def refuse_links(
             itself must not lead out of it.
         depth: levels of folders that are looked at (default: all).
         images: of a scene, whether its images are written to, too.
+        inputs: folders, relative to `root`, whose entries are links to what is only read.
 
     Raises:
         ToolkitError: a folder is a symbolic link out of `home`; the message names it.
@@ -251,6 +257,8 @@ def refuse_links(
     waiting = [(root, 1)]
     while waiting:
         folder, level = waiting.pop()
+        if inputs and folder.relative_to(root).as_posix() in inputs:
+            continue
         with suppress(FileNotFoundError, PermissionError), os.scandir(folder) as entries:
             for entry in entries:
                 if folder == root and is_scene and entry.name in _INPUT_FOLDERS:
@@ -297,6 +305,7 @@ def hold_lock(
     what: str = "scene",
     deep: bool = True,
     images: bool = False,
+    inputs: Collection[str] = (),
 ) -> Iterator[None]:
     """Hold one of the locks of a scene; it is released when its process ends.
 
@@ -308,13 +317,14 @@ def hold_lock(
         wait: wait until another process releases it, and log whom it waits for.
         deep: whether folders below `root` are written to, so that none may be a link out of it.
         images: whether the images of a scene are written to, too.
+        inputs: see `refuse_links`.
 
     Raises:
         ToolkitError: another process holds it (the message names the owner), or the folder is
             read-only.
     """
     path = root / ".std" / name
-    refuse_links(root if deep else path.parent, home=root, images=images)
+    refuse_links(root if deep else path.parent, home=root, images=images, inputs=inputs)
     try:
         path.parent.mkdir(exist_ok=True)
         # The owner's name is written into the file: never follow a link to another file.

@@ -16,6 +16,9 @@ from std_toolkit.errors import ToolkitError
 LARGEST_CHUNK_BYTES = 512 * 2**20
 """Of a chunk or message: writers cut chunks at some megabytes, and no image is as large."""
 
+LARGEST_MESSAGE_BYTES = 128 * 2**20
+"""Of an image: raw colour of 8K has 100 MB. While it is decoded, about seven copies are held."""
+
 _RATIO = 100  # of a compressed file; images and depth shrink to a twentieth at best
 _STEP = 2**20
 

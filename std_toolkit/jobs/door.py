@@ -44,10 +44,12 @@ class Writes:
             is a file that is replaced, `place` a file or a new folder. `scene` is a scene, which
             the step locks.
         marks: entries by one of which a folder of results of an earlier version is known.
+        inputs: folders in it whose entries are links to inputs, which are only read.
     """
 
     kind: Literal["new", "results", "parts", "files", "file", "place", "scene"]
     marks: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
 
 
 def regular(path: Path | str, *, field: str | None = None) -> os.stat_result | None:
@@ -128,7 +130,7 @@ def output(path: Path, writes: Writes, program: str, *, field: str | None = None
         raise ToolkitError(f"cannot make the folder: {error.strerror}", path=path) from error
     doing, deep = "writing to", writes.kind == "results"
     is_new = not any(path.iterdir())
-    with hold_lock(path, name, doing=doing, what="folder", deep=deep):
+    with hold_lock(path, name, doing=doing, what="folder", deep=deep, inputs=writes.inputs):
         if is_new:
             write_document(path / FOLDER / WRITTEN, Written(files={}))
         _held.add(path.resolve())

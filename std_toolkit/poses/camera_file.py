@@ -19,14 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.filed_cameras import camera_of_fields
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.foreign_files import read_json, read_npy
-from std_toolkit.poses.camera_table import FiledCameras, pose_or_lost, read_table
+from std_toolkit.poses.camera_table import FiledCameras, read_table
+from std_toolkit.poses.filed_matrices import poses_or_lost
 
 # Keys of a JSON matrix, with the direction that the name states, if it states one.
 _MATRIX_KEYS = {
@@ -87,10 +87,10 @@ def _array(path: Path) -> FiledCameras:
             "camera poses are an array of 4x4 (or 3x4) matrices", path=path, value=values.shape
         )
     values = values.reshape(-1, *values.shape[-2:])
-    found = _Rows(path)
-    for i, matrix in enumerate(values):
-        found.add("", matrix, f"[{i}]")
-    return found.filed("matrices")
+    if not len(values):
+        raise ToolkitError("the file has no camera poses", path=path)
+    matrices, lost = poses_or_lost(values, path, lambda i: f"[{i}]")
+    return FiledCameras(path=path, kind="matrices", matrices=matrices, lost=lost)
 
 
 @dataclass
@@ -99,33 +99,31 @@ class _Rows:
 
     path: Path
     keys: list[str] = field(default_factory=list)
-    matrices: list[NDArray[np.float64]] = field(default_factory=list)
+    values: list[Any] = field(default_factory=list)
+    places: list[str] = field(default_factory=list)
     lenses: list[Intrinsics | None] = field(default_factory=list)
     lens_problem: ToolkitError | None = None
-    lost: set[int] = field(default_factory=set)
 
     def add(self, key: str, value: Any, at: str, lens: Intrinsics | None = None) -> None:
-        matrix, is_lost = pose_or_lost(value, self.path, at)
-        if is_lost:
-            self.lost.add(len(self.keys))
         self.keys.append(key)
-        self.matrices.append(matrix)
+        self.values.append(value)
+        self.places.append(at)
         self.lenses.append(lens)
 
     def filed(
         self, kind: str, *, convention: str | None = None, unit: str | None = None, **fields: Any
     ) -> FiledCameras:
-        if not self.matrices:
+        if not self.values:
             raise ToolkitError("the file has no camera poses", path=self.path)
-        named = all(self.keys)
+        matrices, lost = poses_or_lost(self.values, self.path, self.places.__getitem__)
         return FiledCameras(
             path=self.path,
             kind=kind,
-            matrices=np.array(self.matrices),
-            keys=self.keys if named else None,
+            matrices=matrices,
+            keys=self.keys if all(self.keys) else None,
             lenses=self.lenses,
             lens_problem=self.lens_problem,
-            lost=frozenset(self.lost),
+            lost=lost,
             convention=convention,
             unit=unit,
             **fields,

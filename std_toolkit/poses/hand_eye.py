@@ -18,7 +18,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.log import logger
 from std_toolkit.poses.camera_file import read_cameras
-from std_toolkit.poses.camera_table import as_matrix
+from std_toolkit.poses.filed_matrices import as_matrix
 
 _LAYOUTS = (
     "4x4 numbers as text or .npy, a matrix in JSON or YAML, x y z qx qy qz qw of easy_handeye, "

@@ -238,7 +238,7 @@ def _explained(
     """Name the convention or the shift of the list that explains the images, if one does."""
     found = [_shifted(known, tracks, camera)]
     sample = tracks.sample(_TRACKS_OF_ALTERNATIVE)
-    for other, advice in known.convention.alternatives(known.filed.kind):
+    for other, advice in known.convention.alternatives(known.filed.quaternion):
         error = float(np.median(sample.errors(known.poses(other), camera)))
         found.append((error, f"{other.title} explains them: {_px(error)}; {advice}"))
     error, text = min(found)

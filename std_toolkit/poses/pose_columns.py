@@ -2,8 +2,18 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from std_toolkit.arrays import Array
+
+QuaternionOrder = Literal["wxyz", "xyzw"]
 
 _ROTATION = re.compile(r"(?:q|quat|quaternion|orientation)[_.]?(?:\w*[_.])?([wxyz])")
+# Nanoseconds since 1970 have 19 digits from 2001 on.
+NANOSECONDS = re.compile(r"\d{19}(\.\d*)?|\d\.\d+e\+?18", re.IGNORECASE)
 _POSITION = re.compile(r"(?:p|t|pos|position|trans|translation)[_.]?(?:\w*[_.])?([xyz])")
 
 
@@ -29,13 +39,78 @@ def columns_of_comment(text: str, width: int) -> list[str] | None:
     ['timestamp', 'x', 'y', 'z', 'qw', 'qx', 'qy', 'qz']
     """
     for line in text.splitlines():
-        comment = re.sub(r"\[.*?\]|\(.*?\)", " ", line.strip()).lstrip("#%/ ")
         if not line.lstrip().startswith(("#", "%", "//")):
             continue
+        comment = re.sub(r"\[.*?\]|\(.*?\)", " ", line.strip()).lstrip("#%/ ")
         found = plain_columns([w for w in re.split(r"[\s,;]+", comment) if w])
         if len(found) == width and {"qw", "qx", "qy", "qz", "x", "y", "z"} <= set(found):
             return found
     return None
+
+
+@dataclass(frozen=True)
+class FiledOrder:
+    """The order of quaternions in a file that does not name its columns.
+
+    Attributes:
+        order: as which they are read.
+        why: what tells it; empty where nothing does.
+    """
+
+    order: QuaternionOrder
+    why: str
+
+    def sentence(self, order: QuaternionOrder | None = None) -> str:
+        """How the quaternions are read, for the user; `order` is that of an option."""
+        names = " ".join(f"q{c}" for c in order or self.order)
+        why = "--cameras-quaternion" if order else self.why
+        return f"its quaternions are read as {names} ({why})"
+
+
+def filed_order(stamps: Sequence[str], values: Array, *, commas: bool) -> FiledOrder:
+    """The order of quaternions beside time stamps.
+
+    EuRoC and VINS write nanoseconds, commas and the real part first; TUM writes seconds, spaces
+    and the real part last; ORB-SLAM3 writes nanoseconds with decimals in TUM's order.
+
+    Args:
+        stamps: first column, at least one.
+        values: (N, 7) numbers beside it: position and quaternion.
+        commas: whether commas part the columns.
+    """
+    if not all(map(NANOSECONDS.fullmatch, stamps)):
+        return FiledOrder("xyzw", "as TUM files them")
+    if commas:
+        return FiledOrder("wxyz", "time stamps in nanoseconds and commas, as EuRoC has them")
+    if all("." in s for s in stamps):
+        return FiledOrder("xyzw", "nanoseconds with decimals and spaces, as ORB-SLAM3 has them")
+    starts: dict[tuple[float, ...], QuaternionOrder] = {
+        (0, 0, 0, 0, 0, 0, 1): "xyzw",
+        (0, 0, 0, 1, 0, 0, 0): "wxyz",
+    }
+    first = starts.get(tuple(map(float, np.abs(values[0]))))
+    return FiledOrder(first or "xyzw", "the first pose is then the identity" if first else "")
+
+
+def euroc_rows(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Rows of time stamps in nanoseconds, without the velocities and biases after the pose.
+
+    VINS writes 11 columns and EuRoC 17. Rows of anything else are returned as they are, such as
+    those of a name and the 16 numbers of a matrix, which end with 0 0 0 1.
+    """
+    width = len(rows[0][1])
+    if width not in (11, 17) or not all(NANOSECONDS.fullmatch(words[0]) for _, words in rows):
+        return rows
+    if width == 17 and any(_is_last_row(words[13:]) for _, words in rows):
+        return rows
+    return [(i, words[:8]) for i, words in rows]
+
+
+def _is_last_row(words: Sequence[str]) -> bool:
+    try:
+        return [float(w) for w in words] == [0, 0, 0, 1]
+    except ValueError:
+        return False
 
 
 def without_frame_numbers(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:

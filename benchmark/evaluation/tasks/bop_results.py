@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 
-from benchmark.evaluation.manifest import BOP_FILE, Name
+from benchmark.evaluation.manifest import BOP_FILE, Count, Name
 from benchmark.evaluation.results import INDEX, SCENE, read_table
 from benchmark.metrics.bop import (
     Detections,
@@ -46,11 +46,11 @@ class BopObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """
 
     obj_id: int
-    targets: int = 0
+    targets: Count = 0
     ar_vsd: float | None = None
     ar_mssd: float | None = None
     ar_mspd: float | None = None
-    instances: int = 0
+    instances: Count = 0
     ap_mssd: float | None = None
     ap_mspd: float | None = None
 
@@ -85,8 +85,8 @@ class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     results: Name
     data: Name
     split: Name
-    targets: int
-    estimates: int
+    targets: Count
+    estimates: Count
     ar: float | None
     ar_vsd: float | None
     ar_mssd: float | None

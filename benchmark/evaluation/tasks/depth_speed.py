@@ -8,12 +8,12 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
 from benchmark.evaluation.frames import FrameRun, chosen_frames
-from benchmark.evaluation.manifest import hardware
+from benchmark.evaluation.manifest import Count, hardware
 from benchmark.methods.protocol import Restorer, View
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
@@ -27,6 +27,9 @@ WARM_UP = 2
 FEWEST = 3
 
 LONGEST_S = 10.0
+
+
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 
 
 class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -46,14 +49,14 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         hardware: processor or GPU.
     """
 
-    frames_per_s: float
-    batch_size: int
-    width: int
-    height: int
-    repeats: int
-    parameters: int | None
-    gmacs: float | None
-    peak_memory_mib: float
+    frames_per_s: NotNegative
+    batch_size: Count
+    width: Count
+    height: Count
+    repeats: Count
+    parameters: Count | None
+    gmacs: NotNegative | None
+    peak_memory_mib: NotNegative
     hardware: str
 
 

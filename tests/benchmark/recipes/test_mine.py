@@ -67,6 +67,26 @@ def test_weights_are_tuned_and_scored_on_other_scenes(scenes: Path, tmp_path: Pa
     assert report.weights.stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
+def test_the_command_goes_on_with_links_to_scenes(scenes: Path, tmp_path: Path, capsys) -> None:
+    torch.set_num_threads(1)
+    out = tmp_path / "out"
+    words = ["mine", "--method", "dfnet", "--scenes", str(scenes), "--out", str(out)]
+    words += ["--steps", "2", "--batch-size", "2", "--readers", "0", "--accelerator", "cpu"]
+    words += ["--engine", "serial"]
+    plan_sets(options(scenes, out))  # as a command that was killed after it leaves them
+    (out / ".std").mkdir()
+    (out / ".std/std-train-mine.lock").touch()
+    assert main(words) == 0
+    assert main(words) == 0
+    assert "trained on 2 frames" in capsys.readouterr().out
+    # A folder of links that is a link itself would be written through.
+    (out / "scenes/train").rename(tmp_path / "elsewhere")
+    (out / "scenes/train").symlink_to(tmp_path / "elsewhere")
+    assert main(words) == 1
+    assert "scenes/train: the folder is a symbolic link" in capsys.readouterr().err
+
+
 def told(**scores: Score) -> tuple[MineReport, list[str]]:
     trained = Trained(frames=6, scenes=2, steps=3, batch_size=2, best_step=3)
     report = MineReport(Path("out/best.safetensors"), Path("out/results"), trained, scores=scores)

@@ -255,6 +255,31 @@ def test_text_in_a_column_of_numbers_is_refused(results: Path, tmp_path: Path) -
         read_results([top])
 
 
+@pytest.mark.parametrize("column", ["n_pixels", "n_answered", "not_finite", "index"])
+def test_counts_below_0_are_refused(results: Path, tmp_path: Path, column: str, capsys) -> None:
+    top = tmp_path / "results"
+    shutil.copytree(results, top)
+    path = next(top.rglob("images.parquet"))
+    table = pd.read_parquet(path)
+    table.loc[1, column] = -5
+    table.to_parquet(path)
+    assert main([str(top)]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"{path}: {column} of row 1: a count is 0 or more (got -5.0)" in line
+
+
+def test_counts_below_0_in_documents_are_refused(results: Path, tmp_path: Path, capsys) -> None:
+    top = tmp_path / "results"
+    shutil.copytree(results, top)
+    path = next(top.rglob("run.json"))
+    document = json.loads(path.read_text())
+    document["setup"]["frames"] = -3
+    path.write_text(json.dumps(document))
+    assert main([str(top)]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"{path}: setup.frames" in line and ">= 0" in line
+
+
 def test_a_byte_that_changed_in_a_table_is_noticed(tmp_path: Path) -> None:
     """Without a checksum of the page, the number would be read as another one."""
     write_part(tmp_path, 0, 99, [{"index": i, "rmse": 0.1 + i} for i in range(100)])

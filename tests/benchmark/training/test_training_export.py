@@ -98,6 +98,26 @@ def test_what_half_precision_cannot_hold_stays(tmp_path: Path) -> None:
         half(torch.tensor([float("nan")]), "a", tmp_path)
 
 
+def test_damaged_weights_are_not_given_away(run: Path, tmp_path: Path) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    weights = tmp_path / "run" / "best.safetensors"
+    data = bytearray(weights.read_bytes())
+    data[-400:] = bytes(400)  # zeros, as after a crash of the machine: still a file of weights
+    weights.write_bytes(data)
+    with pytest.raises(ToolkitError, match=r"best\.safetensors: was changed or damaged since best"):
+        export_weights(tmp_path / "run", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    asked = wishes("dfnet", run.parent / "pack", weights=weights)
+    with pytest.raises(ToolkitError, match="was changed or damaged since"):
+        trained(asked, tmp_path / "next")
+    # A training of an earlier version knows no digest.
+    scores = tmp_path / "run" / "best.json"
+    document = json.loads(scores.read_text())
+    del document["weights"]
+    scores.write_text(json.dumps(document))
+    assert export_weights(tmp_path / "run", tmp_path / "out").is_file()
+
+
 def test_a_training_without_weights_is_refused(run: Path, tmp_path: Path) -> None:
     (tmp_path / "config.json").write_bytes((run / "config.json").read_bytes())
     with pytest.raises(ToolkitError, match="no weights yet"):

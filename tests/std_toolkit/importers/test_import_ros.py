@@ -17,11 +17,13 @@ pytest.importorskip("rosbags")
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera, undistort_image
+from std_toolkit.importers import ros_importer
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.importer import detect_format
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.importers.ros_images import pair_stamps
+from std_toolkit.io.bounded_bags import LARGEST_MESSAGE_BYTES
 from std_toolkit.io.images import read_color, write_png
 from std_toolkit.scene.scene import Scene
 from tests.std_toolkit.importers.ros_on_disk import (
@@ -245,6 +247,29 @@ def test_a_pipe_in_a_recording_is_not_waited_for(storage: str, tmp_path: Path) -
     with pytest.raises(ToolkitError, match="pipe or device") as refused:
         imported(tmp_path / "rec")
     assert str(refused.value.path) == str(file)
+
+
+def test_a_message_larger_than_an_image_is_not_read(tmp_path: Path) -> None:
+    write_recording(tmp_path / "rec", storage="sqlite3")
+    file = next((tmp_path / "rec").glob("*.db3"))
+    size = LARGEST_MESSAGE_BYTES + 2**20
+    with closing(sqlite3.connect(file)) as database:
+        (topic,) = database.execute("SELECT id FROM topics WHERE name = ?", (COLOR,)).fetchone()
+        database.execute(
+            "UPDATE messages SET data = zeroblob(?) WHERE rowid = "
+            "(SELECT max(rowid) FROM messages WHERE topic_id = ?)", (size, topic)
+        )  # fmt: skip
+        database.commit()
+    with pytest.raises(ToolkitError, match=r"a message of 129 MB at .* at most 128 MB") as refused:
+        imported(tmp_path / "rec")
+    assert (refused.value.path, refused.value.field) == (str(file), COLOR)
+
+
+def test_a_large_message_of_mcap_is_refused(tmp_path: Path, monkeypatch) -> None:
+    write_recording(tmp_path / "rec", storage="mcap")
+    monkeypatch.setattr(ros_importer, "LARGEST_MESSAGE_BYTES", 10_000)
+    with pytest.raises(ToolkitError, match=r"color/image_raw: a message of 0 MB"):
+        imported(tmp_path / "rec")
 
 
 def test_a_view_without_end_is_not_read(tmp_path: Path) -> None:

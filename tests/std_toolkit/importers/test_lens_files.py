@@ -15,6 +15,8 @@ from std_toolkit.poses.camera_file import read_cameras
 K = [60, 0, 31.5, 0, 60, 23.5, 0, 0, 1]
 FIVE = (-0.28, 0.07, 2e-4, 1.7e-5, 0.0)
 FOUR = FIVE[:4]
+# The order of Camera2: k1 k2 k3 p1 p2.
+ANDROID = [FIVE[i] for i in (0, 1, 4, 2, 3)]
 EIGHT = (0.46, -2.45, 6e-4, -2e-4, 1.42, 0.34, -2.27, 1.35)
 KB4 = (0.03, 0.005, 6e-4, 1e-4)
 NUMBERS = {"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5}
@@ -147,6 +149,17 @@ READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "a print of numpy": (
         "[[60.   0.  31.5]\n [ 0.  60.  23.5]\n [ 0.   0.   1. ]]\n", "opencv", ()),
     "height before width": (json.dumps({**NUMBERS, "image_size": [48, 64]}), "opencv", ()),
+    "android": (json.dumps({**NUMBERS, "lensDistortion": ANDROID}), "opencv", FIVE),
+    "android, constant": (json.dumps({**NUMBERS, "LENS_DISTORTION": ANDROID}), "opencv", FIVE),
+    "android, dotted": (json.dumps({**NUMBERS, "android.lens.distortion": ANDROID}),
+                        "opencv", FIVE),
+    "android, snake": (json.dumps({**NUMBERS, "lens_distortion": ANDROID,
+                                   "lens_pose_rotation": [0, 0, 0, 1]}), "opencv", FIVE),
+    "android, zeros": (json.dumps({**NUMBERS, "lensDistortion": [0.0] * 5}), "opencv", ()),
+    "snake, in OpenCV's order": (json.dumps({**NUMBERS, "lens_distortion": FIVE}),
+                                 "opencv", FIVE),
+    "camel, four of OpenCV": (json.dumps({**NUMBERS, "lensDistortion": FIVE[:4]}),
+                              "opencv", FOUR),
     "distances are no distortion": (json.dumps({"K": K, "distance": 0.7, "max_dist": 3}),
                                     "opencv", ()),
 }  # fmt: skip
@@ -165,6 +178,13 @@ def test_read(kind: str, tmp_path: Path) -> None:
 
 TWO = "".join(dotted(f"Camera{i}", **{**NUMBERS, "fx": 60 + i}, k1=-0.28) for i in (1, 2))
 REFUSED: dict[str, tuple[str, str]] = {
+    "android's former convention": (
+        json.dumps({**NUMBERS, "lensRadialDistortion": [1, *ANDROID]}), "lensRadialDistortion"),
+    "android's former convention, constant": (
+        json.dumps({**NUMBERS, "LENS_RADIAL_DISTORTION": [1, *ANDROID]}), "LENS_RADIAL_DIST"),
+    "android's former convention, dotted": (
+        json.dumps({**NUMBERS, "android.lens.radialDistortion": [1, *ANDROID]}),
+        "lensRadialDistortion"),
     "an unknown key": (json.dumps({"K": K, "my_distortion_thing": FIVE}), "my_distortion_thing"),
     "omni": (lines(**{**KALIBR, "camera_model": "omni", "distortion_coeffs": [0, 0, 0, 0],
                       "intrinsics": [1.2, 60, 60, 31.5, 23.5]}), "camera_model.*omni"),
@@ -342,3 +362,23 @@ def test_intrinsics_replace_those_that_a_file_of_poses_lacks(tmp_path: Path) -> 
     (tmp_path / "t.json").write_text(json.dumps(omni))
     with pytest.raises(ToolkitError, match=r"camera_model.*OMNI"):
         read_cameras(tmp_path / "t.json").lens()
+
+
+def test_intrinsics_of_each_image_are_named_where_one_is_wanted(tmp_path: Path, caplog) -> None:
+    document = {"w": 64, "h": 48, "K": K, "perFrameIntrinsicCoeffs": [[60, 60, 31.5, 23.5]] * 2}
+    path = tmp_path / "metadata.json"
+    path.write_text(json.dumps(document))
+    read_intrinsics(str(path))
+    assert "image to image" not in caplog.text
+    document["perFrameIntrinsicCoeffs"][1] = [61, 61, 31.5, 23.5]
+    path.write_text(json.dumps(document))
+    read_intrinsics(str(path))
+    assert "metadata.json: the intrinsics change from image to image" in caplog.text
+
+
+def test_the_order_of_android_is_printed(tmp_path: Path, caplog) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({**NUMBERS, "lensDistortion": [0.1, 0.2, 0.3, 0.4, 0.5]}))
+    with caplog.at_level("INFO", "std_toolkit"):
+        assert read_intrinsics(str(path)).distortion == (0.1, 0.2, 0.4, 0.5, 0.3)
+    assert "(from lensDistortion, in Android's order k1 k2 k3 p1 p2)" in caplog.text

@@ -102,12 +102,10 @@ def test_numbers_with_and_without_zeros_are_the_same(tmp_path):
         paired(color, fewer)
 
 
-def test_an_index_and_a_time_in_each_name_need_a_word(tmp_path):
+def test_an_index_and_a_time_in_each_name_by_option(tmp_path):
     color = images(tmp_path / "rgb", *(f"{i}-{33333 * i:012d}.png" for i in range(1, 5)))
     depth = images(tmp_path / "depth", *(f"{i}-{33333 * i + 8000:012d}.png" for i in range(1, 5)))
-    with pytest.raises(ToolkitError, match="--pair index or --pair time"):
-        paired(color, depth)
-    for by in ("index", "time"):
+    for by in ("index", "time", None):
         assert [c[0] for c, _ in names_of(paired(color, depth, by=by))] == list("1234")
     late = {k: p for k, p in depth.items() if not k.startswith("1")}
     assert [(c[0], d[0]) for c, d in names_of(paired(color, late, by="time"))] == [
@@ -115,6 +113,35 @@ def test_an_index_and_a_time_in_each_name_need_a_word(tmp_path):
     ]  # fmt: skip
     with pytest.raises(ToolkitError, match="4 colour and 3 depth"):
         paired(color, late, by="index")
+
+
+def indexed(folder: Path, stamps: dict[int, int]) -> Images:
+    names = [f"{i:07d}-{t:012d}.png" for i, t in stamps.items()]
+    return {Path(n).stem: touch(folder, n) / n for n in names}
+
+
+def test_an_index_and_a_time_that_agree_pair(tmp_path, caplog):
+    """Index and microseconds; depth a little later."""
+    color = indexed(tmp_path / "rgb", {i: 33_333 * i for i in range(1, 6)})
+    depth = indexed(tmp_path / "depth", {i: 33_333 * i + 4_000 for i in range(1, 6)})
+    with caplog.at_level("INFO", "std_toolkit"):
+        found = paired(color, depth)
+    assert [d.stem.split("-")[0] for d in found[1].values()] == [f"{i:07d}" for i in range(1, 6)]
+    assert "paired by index and time in their names; 0 left out" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "late",
+    [
+        {i: 33_333 * i + 17_000 for i in range(1, 6)},  # nearer to the next image
+        {i + 1: 33_333 * i + 4_000 for i in range(1, 6)},  # counts of its own
+        {1: 37_000, 2: 70_000, 3: 137_000, 4: 170_000, 5: 203_000},  # one was lost
+    ],
+)
+def test_an_index_and_a_time_that_differ_ask(late: dict[int, int], tmp_path):
+    color = indexed(tmp_path / "rgb", {i: 33_333 * i for i in range(1, 6)})
+    with pytest.raises(ToolkitError, match=r"--pair index or --pair time"):
+        paired(color, indexed(tmp_path / "depth", late))
 
 
 def test_time_stamps_pair_with_the_nearest(tmp_path):

@@ -14,8 +14,9 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.se3 import so3_log
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.camera_file import read_cameras
+from std_toolkit.poses.frame_matching import match_frames
 from std_toolkit.poses.hand_eye import read_transform
-from std_toolkit.poses.known_cameras import match_frames, read_known_poses
+from std_toolkit.poses.known_cameras import read_known_poses
 from std_toolkit.poses.trajectory import write_trajectory
 from std_toolkit.scene import CameraModel, CameraPoses, Frame, FramePose, Frames, Scene, SceneInfo
 

@@ -10,7 +10,7 @@ import pytest
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.poses.camera_file import read_cameras
-from std_toolkit.poses.known_cameras import match_frames
+from std_toolkit.poses.frame_matching import match_frames
 from std_toolkit.scene import Frame
 
 LOST: dict[str, object] = {
