@@ -1,7 +1,7 @@
 """Splits of data sets: frames by index, the registry of names, splits with saved restored depth."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmark.data.frame import DepthFrame
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import digest_of
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.plugins import Registry
 
@@ -49,6 +50,10 @@ class SceneFiles(NamedTuple):
     missing: dict[str, list[str]]
 
 
+# Files of a frame by content; a text is the digest of what is in no file of its own.
+Inputs = Mapping[str, Path | str]
+
+
 class DepthSource(Protocol):
     """Frames of a split. Sources can be pickled and sent to worker processes.
 
@@ -83,9 +88,43 @@ class DepthSource(Protocol):
         """
         ...
 
+    def inputs(self, index: int, *, nocs: bool = False) -> Inputs:
+        """Return the files that `load` and `known_boxes` read for a frame, by content.
+
+        A source of a third party may lack this method: its frames are then known by their arrays.
+
+        Args:
+            index: index of the frame, from 0.
+            nocs: also those that only poses need.
+        """
+        ...
+
     def files(self) -> Iterator[SceneFiles]:
         """Yield the files of every scene, for `check_split`."""
         ...
+
+
+def inputs_of(source: DepthSource, index: int, *, nocs: bool = False) -> Inputs:
+    """Return what a source reads for a frame.
+
+    Args:
+        source: of a third party, it may lack `inputs`; its frames are then known by their arrays.
+        index: of the frame.
+        nocs: also what poses need.
+    """
+    named = getattr(source, "inputs", None)
+    if named is not None:
+        return dict(named(index, nocs=nocs))
+    try:
+        frame = source.load(index, nocs=nocs)
+    except Exception:  # what is wrong with it, scoring says
+        return {"frame": ""}
+    arrays = (frame.color, frame.depth_raw, frame.depth_true, frame.mask, frame.nocs)
+    known = [None if a is None else [a.shape, a.dtype.str, a.tobytes()] for a in arrays]
+    camera = frame.camera
+    focal = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]
+    objects = [[i.mask_id, i.class_id, int(i.material)] for i in frame.instances]
+    return {"frame": digest_of(known, focal, objects, versioned=False)}
 
 
 def names_digest(keys: Iterable[FrameKey]) -> str:
@@ -229,6 +268,10 @@ class WithSavedDepth:
         depth = read_exr_channel(path).astype(np.float32)
         depth[~(np.isfinite(depth) & (depth > 0))] = 0
         return replace(frame, depth_raw=depth)
+
+    def inputs(self, index: int, *, nocs: bool = False) -> Inputs:
+        """See `DepthSource`; without the saved depth, which is an answer and no data."""
+        return inputs_of(self.source, index, nocs=nocs)
 
     def files(self) -> Iterator[SceneFiles]:
         """See `DepthSource`."""

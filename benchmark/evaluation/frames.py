@@ -9,11 +9,20 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from benchmark.data.splits import DepthSource, names_digest, open_split
+from benchmark.data.identity import SAVED_DEPTH
+from benchmark.data.provenance import Provenance, provenance_of
+from benchmark.data.splits import (
+    DepthSource,
+    FrameKey,
+    Inputs,
+    inputs_of,
+    names_digest,
+    open_split,
+)
 from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.evaluation.values import checked_label, data_of, plain_label
@@ -307,8 +316,10 @@ class FrameRun(FramesRun[DepthSource, M]):
         out: folder of results.
         limit: number of frames, evenly spaced over the split; None for all.
         gallery: keep pictures of a few frames.
+        needs_nocs: whether the task reads what only poses need.
     """
 
+    needs_nocs: ClassVar[bool] = False
     split: str
     root: Path
     method: str
@@ -343,6 +354,22 @@ class FrameRun(FramesRun[DepthSource, M]):
 
     def chosen(self, data: DepthSource) -> list[int]:
         return chosen_frames(len(data), self.limit)
+
+    def inputs(self, data: DepthSource) -> Iterator[tuple[int, FrameKey, Inputs]]:
+        """Yield the frames that the run uses, with the files that are read for each."""
+        keys = data.keys()
+        for index in self.chosen(data):
+            found = inputs_of(data, index, nocs=self.needs_nocs)
+            saved = self.saved_depth(keys[index])
+            more = {} if saved is None else {SAVED_DEPTH: saved}
+            yield index, keys[index], {**found, **more}
+
+    def saved_depth(self, key: FrameKey) -> Path | None:  # noqa: ARG002
+        """Return the file of saved depth of a frame, if the run reads such files."""
+        return None
+
+    def provenance(self, data: DepthSource) -> Provenance:
+        return provenance_of(data, self.split)
 
     def setup(self, data: DepthSource, method: object) -> dict[str, Any]:
         """Return the fields that determine the table and are common to all methods on frames."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from benchmark.evaluation.frames import (
     Base,
     FrameRun,
     frame_options,
+    load_each,
     restore_views,
 )
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
@@ -28,7 +30,7 @@ from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
 from benchmark.methods.registry import make_restorer
-from benchmark.metrics.protocols.protocol import get_protocol
+from benchmark.metrics.protocols.protocol import Protocol, get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.exr import write_exr
@@ -48,6 +50,7 @@ class Run(FrameRun[Restorer]):
     """
 
     manifest_name, table_name = MANIFEST, TABLE
+    derived = ("gallery/gallery.json",)
     protocol: str
     save_depth: bool = False
     depth_from: Path | None = None
@@ -123,6 +126,10 @@ class Run(FrameRun[Restorer]):
             **circumstances(),
         )
 
+    def saved_depth(self, key: splits.FrameKey) -> Path | None:
+        folder = self.depth_from
+        return None if folder is None else splits.saved_depth_path(folder, self.split, key)
+
     def load(self, data: splits.DepthSource, index: int) -> DepthFrame:
         return data.load(index)
 
@@ -135,8 +142,8 @@ class Run(FrameRun[Restorer]):
         """Return the rows of the protocol for each frame.
 
         The first row of a frame has the figures of `benchmark.evaluation.probes`, too. A frame
-        that cannot be read has one row with a text in `error`. A frame at which the method failed
-        has that text in the rows of an empty prediction.
+        that cannot be read has one row with a text in `error`. A frame at which the method failed,
+        or for which there is no saved depth, has that text in the rows of an empty prediction.
         """
         protocol = get_protocol(self.protocol)
         views = {
@@ -149,7 +156,7 @@ class Run(FrameRun[Restorer]):
         rows: list[dict[str, Any]] = []
         for base, frame in frames:
             if isinstance(frame, str):
-                rows.append({**base, ERROR: frame, **UNREAD})
+                rows += [base | {ERROR: frame} | row for row in _unanswered(data, base, protocol)]
                 continue
             answer = answers[base[INDEX]]
             error, depth = (answer, None) if isinstance(answer, str) else ("", answer.depth)
@@ -242,6 +249,17 @@ TASK = Task(
 def _read(frames: Sequence[tuple[Base, DepthFrame | str]]) -> list[DepthFrame]:
     """The frames that could be read."""
     return [frame for _, frame in frames if not isinstance(frame, str)]
+
+
+def _unanswered(data: splits.DepthSource, base: Base, protocol: Protocol) -> list[dict[str, Any]]:
+    """Rows of a frame that could not be read: if only its saved depth is at fault, those of an
+    empty prediction."""
+    if not isinstance(data, splits.WithSavedDepth):
+        return [UNREAD]
+    frame = load_each(partial(data.source.load, sensor=False), [base[INDEX]])[0]
+    if isinstance(frame, str):
+        return [UNREAD]
+    return [{NOT_FINITE: 0} | row.as_dict() for row in score_frame(None, frame, protocol)]
 
 
 def _not_finite(depth: NDArray[np.float32] | None) -> int:

@@ -7,7 +7,7 @@ grasps.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,8 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from benchmark.data.splits import FrameKey
+from benchmark.data.identity import SAVED_GRASPS
+from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import GraspConfig
 from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.frames import error_line
@@ -79,14 +80,18 @@ class GraspNetData:
             )
         self.judged = cache(self._judged)
 
+    def mesh_paths(self, number: int) -> list[Path]:
+        """Files of a model, which need not exist."""
+        folder = self._root / "models" / f"{number:03d}"
+        return [folder / name for name in ("nontextured.ply", "textured.obj")]
+
     def _judged(self, number: int) -> JudgedObject:
         """A model: its mesh for contacts; the vertices of its scan for collisions, as there."""
         from std_toolkit.geometry.mesh import load_mesh
 
-        folder = self._root / "models" / f"{number:03d}"
-        paths = [folder / name for name in ("nontextured.ply", "textured.obj")]
-        there = [path for path in paths if path.is_file()]
+        there = [path for path in self.mesh_paths(number) if path.is_file()]
         if not there:
+            folder = self._root / "models" / f"{number:03d}"
             raise ToolkitError("no mesh of the model", path=folder)
         points, mesh = load_mesh(there[0]), load_mesh(there[-1])
         return JudgedObject(
@@ -149,6 +154,26 @@ class DumpRun(TaskRun[GraspNetData, None]):
             dump=str(self.dump),
             **circumstances(),
         )
+
+    def frames_there(self, data: GraspNetData) -> int:
+        return len(data.images)
+
+    def inputs(self, data: GraspNetData) -> Iterator[tuple[int, FrameKey, Inputs]]:
+        for index, key in enumerate(data.images):
+            folder = self.data / "scenes" / f"scene_{key.scene:04d}" / key.camera
+            found = {
+                SAVED_GRASPS: key.path(self.dump),
+                "annotation": folder / "annotations" / f"{key.frame:04d}.xml",
+                "camera pose": folder / "camera_poses.npy",
+                "table": folder / "cam0_wrt_table.npy",
+            }
+            try:
+                models = {p.model for p in data.scenes.placed(key.scene, image=key.frame)}
+            except ToolkitError:  # scoring says what is wrong
+                models = set()
+            for number in sorted(models):
+                found |= {f"{p.name} of {number}": p for p in data.mesh_paths(number)}
+            yield index, FrameKey(f"scene_{key.scene:04d}", f"{key.frame:04d}"), found
 
     def items(self, data: GraspNetData, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
         return [i for i in range(len(data.images)) if i not in done]
