@@ -215,7 +215,7 @@ class ReleasedDFNetwork(nn.Module):
             features = self.get_submodule(f"{name}_conv")(features)
             features = self.get_submodule(name)(torch.cat([features, own], dim=1))
             features = self.get_submodule(f"{name}_duc")(features)
-        restored = precisely(self.final, features).clamp(min=0)
+        restored = precisely(self.final, features)  # negative ones, too, as there
         return Prediction(restored[..., :h, :w])
 
     def _dense(self, name: str, features: Tensor, depth: Tensor) -> Tensor:
