@@ -66,7 +66,7 @@ class NetworkConfig(TaskConfig):
     weights: tuple[str, ...] = ()
     """[METHOD=]FILE of trained weights: safetensors, or a checkpoint of tensors alone"""
     settings: tuple[str, ...] = field(default=(), metadata=_option("set"))
-    """[METHOD.]NAME=VALUE, a method's own settings"""
+    """[METHOD.]NAME=VALUE, a method's own settings (of the only method that has one so called)"""
     devices: tuple[str, ...] = field(default=("cpu",), metadata=_option("device"))
     """torch devices: cpu, cuda:0 cuda:1, ..."""
     precision: Literal["fp32", "bf16", "fp16"] = "fp32"
@@ -307,10 +307,10 @@ def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str
     Raises:
         ToolkitError: weights or settings for a method that is not requested.
     """
-    from benchmark.methods.registry import MethodOptions, preset_for
+    from benchmark.methods.registry import MethodOptions, has_setting, preset_for
 
     weights = weights_by_method(config.weights, methods)
-    settings = settings_by_method(config.settings, methods)
+    settings = settings_by_method(config.settings, methods, has_setting)
     return {
         method: MethodOptions(
             preset=preset_for(method, config.preset, weights.get(method)),

@@ -29,6 +29,8 @@ from benchmark.evaluation.results import (
     SCENE,
     Result,
     check_columns,
+    find_runs,
+    read_known,
     read_table,
     write_part,
 )
@@ -188,6 +190,12 @@ class DumpRun(TaskRun[GraspNetData, None]):
         row |= dict.fromkeys(_COLUMNS, np.nan) | {"grasps": -1}
         try:
             grasps = read_grasps(key.path(self.dump))
+        except ToolkitError as error:
+            # Without an answer nothing is precise.
+            row |= {ERROR: error_line(error), **dict.fromkeys(_COLUMNS, 0.0)}
+            write_part(self.folder, item, item, [row])
+            return 1
+        try:
             T_cam_table = data.scenes.camera_pose(key.scene, image=key.frame).inverse()
             placed = data.scenes.placed(key.scene, image=key.frame)
             judged = judge_grasps(
@@ -214,7 +222,8 @@ class DumpFigures(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         label, camera, contacts: what was scored, and how.
-        images: number of scored images.
+        images: number of scored images, of which those without grasps count 0.
+        unanswered: images without grasps, or that could not be read.
         ap, ap08, ap04: over all images.
         seen, similar, novel: AP over the images of each part; absent without any.
     """
@@ -226,6 +235,7 @@ class DumpFigures(msgspec.Struct, frozen=True, kw_only=True):
     ap: tuple[float, float, float]
     ap08: tuple[float, float, float]
     ap04: tuple[float, float, float]
+    unanswered: int = 0
     seen: tuple[float, float, float] | None = None
     similar: tuple[float, float, float] | None = None
     novel: tuple[float, float, float] | None = None
@@ -238,12 +248,13 @@ class DumpResult(Result[DumpManifest]):
     @property
     def title(self) -> str:
         s = self.manifest.setup
-        return f"{self.manifest.label} on GraspNet's {s.split}, {s.camera}, {s.contacts} contacts"
+        place = self.place or s.split
+        return f"{self.manifest.label} on GraspNet's {place}, {s.camera}, {s.contacts} contacts"
 
     @property
     def figures(self) -> DumpFigures:
         """Means and intervals."""
-        good = self.table[self.table[ERROR] == ""]
+        good = self.table[self.table[_COLUMNS[0]].notna()]
         ap = 100 * good[list(_COLUMNS)].mean(axis=1)
         scenes = good[SCENE]
         number = scenes.str[-4:].astype(int)
@@ -258,6 +269,7 @@ class DumpResult(Result[DumpManifest]):
             camera=setup.camera,
             contacts=setup.contacts,
             images=len(good),
+            unanswered=self.failed + self.missing,
             ap=_mean(ap, scenes),
             ap08=_mean(100 * good["precision_0.8"], scenes),
             ap04=_mean(100 * good["precision_0.4"], scenes),
@@ -282,7 +294,16 @@ def read_dump_run(folder: Path) -> DumpResult:
     check_columns(table, (INDEX, SCENE, FRAME, ERROR, *_COLUMNS), path)
     if not (table[ERROR] == "").any():
         raise ToolkitError("no image could be scored", path=path, value=table[ERROR].iloc[0])
-    return DumpResult(folder, manifest, table)
+    return DumpResult(folder, manifest, table, data=read_known(folder))
+
+
+def read_dump_results(folders: Iterable[Path]) -> list[DumpResult]:
+    """Read all dumps below some folders of results.
+
+    Raises:
+        ToolkitError: a folder has none, or two have the same name.
+    """
+    return find_runs(folders, DUMP_MANIFEST, PRECISIONS, read_dump_run)
 
 
 def plan_dump(dump: Path, config: GraspConfig) -> list[DumpRun]:
@@ -312,7 +333,8 @@ def dump_table(results: Iterable[DumpResult]) -> str:
     for result in results:
         f = result.figures
         shares = (f.ap, f.ap08, f.ap04, f.seen, f.similar, f.novel)
-        rows.append([f.label, f.camera, f.contacts, str(f.images), *map(_percent, shares)])
+        images = f"{f.images} ({f.unanswered} unanswered)" if f.unanswered else str(f.images)
+        rows.append([f.label, f.camera, f.contacts, images, *map(_percent, shares)])
     title = f"GraspNet's average precision in percent, best {TOP} grasps"
     return text_table(HEADINGS, rows, title=title).terminal()
 

@@ -285,6 +285,8 @@ class DFNet(NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = DFNetConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of("dfnet", PRESETS, dfnet_of, options)
         super().__init__(network, options, self.config.input_size)
