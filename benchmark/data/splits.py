@@ -2,16 +2,13 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
-
-import numpy as np
 
 from benchmark.data.frame import DepthFrame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import digest_of
-from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.plugins import Registry
 
 # Suffix of raw depth files by prefix of the split name.
@@ -234,45 +231,3 @@ def saved_depth_path(folder: Path, split: str, key: FrameKey) -> Path:
     """Return the path of restored depth of a frame: FOLDER/SCENE/NAME + suffix of the data set."""
     suffix = _SUFFIXES.get(split.partition("-")[0], _OTHERS)
     return folder / key.scene / f"{key.name}{suffix}"
-
-
-@dataclass(frozen=True)
-class WithSavedDepth:
-    """Frames of `source` with saved depth of `folder` instead of sensor depth; see `DepthSource`.
-
-    Raises:
-        ToolkitError: the folder does not exist.
-    """
-
-    source: DepthSource
-    folder: Path
-
-    def __post_init__(self) -> None:
-        if not self.folder.is_dir():
-            raise ToolkitError("no such folder of saved depth", path=self.folder)
-
-    @property
-    def name(self) -> str:
-        return self.source.name
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def keys(self) -> list[FrameKey]:
-        return self.source.keys()
-
-    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
-        """See `DepthSource`."""
-        frame = self.source.load(index, sensor=sensor, nocs=nocs)
-        path = saved_depth_path(self.folder, self.name, FrameKey(frame.scene, frame.name))
-        depth = read_exr_channel(path).astype(np.float32)
-        depth[~(np.isfinite(depth) & (depth > 0))] = 0
-        return replace(frame, depth_raw=depth)
-
-    def inputs(self, index: int, *, nocs: bool = False) -> Inputs:
-        """See `DepthSource`; without the saved depth, which is an answer and no data."""
-        return inputs_of(self.source, index, nocs=nocs)
-
-    def files(self) -> Iterator[SceneFiles]:
-        """See `DepthSource`."""
-        return self.source.files()

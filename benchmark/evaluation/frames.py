@@ -6,6 +6,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 
 from benchmark.data.identity import SAVED_DEPTH
+from benchmark.data.predictions import DepthFolder
 from benchmark.data.provenance import Provenance, provenance_of
 from benchmark.data.splits import (
     DepthSource,
@@ -357,15 +359,16 @@ class FrameRun(FramesRun[DepthSource, M]):
 
     def inputs(self, data: DepthSource) -> Iterator[tuple[int, FrameKey, Inputs]]:
         """Yield the frames that the run uses, with the files that are read for each."""
-        keys = data.keys()
+        keys, answers = data.keys(), self.answers(data)
         for index in self.chosen(data):
-            found = inputs_of(data, index, nocs=self.needs_nocs)
-            saved = self.saved_depth(keys[index])
-            more = {} if saved is None else {SAVED_DEPTH: saved}
-            yield index, keys[index], {**found, **more}
+            found = dict(inputs_of(data, index, nocs=self.needs_nocs))
+            if answers is not None:
+                with suppress(ToolkitError):  # scoring says what is wrong
+                    found[SAVED_DEPTH] = answers.path(keys[index])
+            yield index, keys[index], found
 
-    def saved_depth(self, key: FrameKey) -> Path | None:  # noqa: ARG002
-        """Return the file of saved depth of a frame, if the run reads such files."""
+    def answers(self, data: DepthSource) -> DepthFolder | None:  # noqa: ARG002
+        """Return the folder of saved depth that the run reads, if any."""
         return None
 
     def provenance(self, data: DepthSource) -> Provenance:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, resize_nearest
-from benchmark.data.splits import DepthSource, FrameKey
+from benchmark.data.predictions import DepthFolder
+from benchmark.data.splits import DepthSource
 from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
 from benchmark.evaluation.config import PoseConfig, options_by_method
 from benchmark.evaluation.depth_choice import (
@@ -18,7 +19,6 @@ from benchmark.evaluation.depth_choice import (
     DepthChoice,
     DepthProvider,
     depth_choice,
-    find_saved_depth,
 )
 from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
@@ -179,9 +179,9 @@ class PoseRun(FrameRun[Methods]):
             **circumstances(),
         )
 
-    def saved_depth(self, key: FrameKey) -> Path | None:
+    def answers(self, data: DepthSource) -> DepthFolder | None:
         folder = self.depth.folder
-        return None if folder is None else find_saved_depth(folder, self.split, key)
+        return None if folder is None else DepthFolder(folder, self.split, keys=data.keys())
 
     def load(self, data: DepthSource, index: int) -> PoseFrame:
         return load_pose_frame(data, index)
