@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -175,7 +174,8 @@ class Run(FrameRun[Restorer]):
         rows: list[dict[str, Any]] = []
         for base, frame in frames:
             if isinstance(frame, str):
-                rows += [base | {ERROR: frame} | row for row in _unanswered(data, base, protocol)]
+                found = _unanswered(data, base[INDEX], methods, frame, protocol)
+                rows += [base | {ERROR: frame} | row for row in found]
                 continue
             answer = answers[base[INDEX]]
             error, depth = (answer, None) if isinstance(answer, str) else ("", answer.depth)
@@ -328,15 +328,19 @@ def _read(frames: Sequence[tuple[Base, DepthFrame | str]]) -> list[DepthFrame]:
     return [frame for _, frame in frames if not isinstance(frame, str)]
 
 
-def _unanswered(data: splits.DepthSource, base: Base, protocol: Protocol) -> list[dict[str, Any]]:
+def _unanswered(
+    data: splits.DepthSource, index: int, restorer: Restorer, error: str, protocol: Protocol
+) -> list[dict[str, Any]]:
     """Rows of a frame that could not be read: if only its saved depth is at fault, those of an
     empty prediction."""
     if not isinstance(data, WithSavedDepth):
         return [UNREAD]
-    frame = load_each(partial(data.source.load, sensor=False), [base[INDEX]])[0]
+    frame = load_each(data.source.load, [index])[0]
     if isinstance(frame, str):
         return [UNREAD]
-    return [{NOT_FINITE: 0} | row.as_dict() for row in score_frame(None, frame, protocol)]
+    rows = [{NOT_FINITE: 0} | row.as_dict() for row in score_frame(None, frame, protocol)]
+    rows[0] |= answer_figures(restorer, frame, frame.depth_raw, error, protocol)
+    return rows
 
 
 def _not_finite(depth: NDArray[np.float32] | None) -> int:

@@ -158,6 +158,7 @@ def test_a_submission_without_some_frames_pays_and_is_not_ranked(tmp_path: Path)
     assert rows["unanswered"].to_dict() == {"nearest": 0, "submission": 4}
     assert rows.loc["submission", "coverage"] < 0.7 * rows.loc["nearest", "coverage"]
     assert rows.loc["submission", "rmse"] > rows.loc["nearest", "rmse"]
+    assert rows.loc["submission", "harm_opaque"] > rows.loc["nearest", "harm_opaque"]
     (part,) = make_parts([tmp_path / "a", tmp_path / "b"])
     assert part.summary.startswith("Lowest RMSE: nearest on ")
     assert re.search(r"^submission +12 \(4 unanswered\) ", part.terminal, re.M)
