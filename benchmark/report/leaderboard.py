@@ -39,10 +39,14 @@ METRICS = tuple(figure.column for figure in FIGURES)
 
 COSTS = (
     Column(name="frames_per_s", heading="speed", unit="frames/s", lower_is_better=False),
+    Column(name="processor_s", heading="processor", unit="s/frame", digits=3),
+    Column(name="load", heading="load", digits=1),
     Column(name="parameters", heading="parameters", unit="M", factor=1e-6, digits=2),
     Column(name="gmacs", heading="MACs", unit="G"),
     Column(name="peak_memory_mib", heading="peak memory", unit="MiB", digits=0),
 )
+
+_COSTS = (*(column.name for column in COSTS), "hardware")
 
 BOARD = (*METRICS, COVERAGE)
 
@@ -102,8 +106,9 @@ class Board:
 COLUMNS = (
     "split", "protocol", "grid", "subset", "method", "kind", "provenance", "frames", "scenes",
     "failed", "unanswered",
-    *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "parameters", "gmacs",
-    "peak_memory_mib", "hardware", "training_data", "table", *probes.NAMES,
+    *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "processor_s",
+    "load", "parameters", "gmacs", "peak_memory_mib", "hardware", "training_data", "table",
+    *probes.NAMES,
 )  # fmt: skip
 
 
@@ -229,11 +234,11 @@ def _costs(results: Sequence[RunResult]) -> pd.DataFrame:
             "provenance": str(result.data.provenance),
         }
         if speed is not None:
-            names = ("frames_per_s", "parameters", "gmacs", "peak_memory_mib", "hardware")
-            row |= {name: getattr(speed, name) for name in names}
+            row |= {name: getattr(speed, name) for name in _COSTS}
         rows.append(row)
-    columns = ["split", "protocol", "method", "provenance", "frames_per_s", "parameters", "gmacs"]
-    return pd.DataFrame(rows).reindex(columns=[*columns, "peak_memory_mib", "hardware"])
+    return pd.DataFrame(rows).reindex(
+        columns=["split", "protocol", "method", "provenance", *_COSTS]
+    )
 
 
 def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame:

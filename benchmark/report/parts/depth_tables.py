@@ -102,7 +102,10 @@ def seen_tables(board: leaderboard.Board, split: str, protocol: str) -> list[Tab
 def cost_table(board: leaderboard.Board, rows: pd.DataFrame, split: str, protocol: str) -> Table:
     """Return the table of the cost and accuracy of methods."""
     title = board_title(board, split, protocol)
-    notes = ["Time of the method alone, without reading and scoring."]
+    notes = [
+        "Time of the method alone, without reading and scoring. Processor: time over all cores, "
+        "which other programs hardly change. Load: programs that ran in the minute before."
+    ]
     return _method_table(rows, (RMSE, *leaderboard.COSTS), title=title, notes=notes, hardware=True)
 
 
