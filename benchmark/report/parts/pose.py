@@ -312,7 +312,11 @@ def _table(results: Sequence[BopFigures], *, published: bool) -> Table:
             name = Cell(text=row.method, note="published")
             rows.append(Row([name, Cell(text=f"{row.dataset}, test"), *cells]))
         sources = sorted(set(printed.loc[printed["dataset"].isin(data), "source"]))
-        notes += [f"Published: {'; '.join(sources)}."] if sources else []
+        if sources:
+            notes.append(
+                f"Published, over the whole data set: {'; '.join(sources)}. Whether the images "
+                "here are all of them is not checked."
+            )
     return Table(columns=columns, rows=rows, notes=notes, sortable=True)
 
 
