@@ -17,7 +17,7 @@ from benchmark.data.identity import (
 from benchmark.evaluation.known_data import CONTENT_FILE, DATA_FILE, DataRecord
 from benchmark.evaluation.results import check_columns, drop_frames, read_table
 from std_toolkit.io.atomic import atomic_path
-from std_toolkit.io.documents import write_document
+from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.log import logger
 
 if TYPE_CHECKING:
@@ -102,5 +102,7 @@ class Renewal:
             frames=run.frames_there(data),
             provenance=run.provenance(data),
         )
-        write_document(run.folder / DATA_FILE, record)
+        path = run.folder / DATA_FILE
+        if not path.exists() or read_document(path, DataRecord) != record:
+            write_document(path, record)
         return table
