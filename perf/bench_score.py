@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import BACKGROUND, DepthFrame
-from benchmark.data.splits import FrameKey, WithSavedDepth, open_split
+from benchmark.data.predictions import DepthFolder, WithSavedDepth
+from benchmark.data.splits import FrameKey, open_split
 from benchmark.evaluation.tasks.depth import save_depth
 from benchmark.methods.protocol import Restored
 from benchmark.metrics.protocols import get_protocol, score_frame
@@ -106,7 +107,7 @@ def write_data(folder: Path, split: str, size: tuple[int, int], restored: tuple[
 
 
 def opened(folder: Path, split: str) -> WithSavedDepth:
-    return WithSavedDepth(open_split(split, folder), folder / "saved" / "depth")
+    return WithSavedDepth(open_split(split, folder), DepthFolder(folder / "saved" / "depth", split))
 
 
 def load(source: WithSavedDepth, index: int) -> DepthFrame:

@@ -101,6 +101,15 @@ class ClearGraspReal:
         has = ("colour", "raw depth") if sensor else ()
         return _frame(key, path, has, lambda size: self._camera(folder, size))
 
+    def inputs(self, index: int, *, nocs: bool = False) -> dict[str, Path]:  # noqa: ARG002
+        """See `DepthSource`."""
+        scene, stem = self.index.at(index)
+        folder = Path(scene.path)
+        found = {what: _first(folder, stem, suffixes) for what, suffixes in NEEDED.items()}
+        paths = (place / INTRINSICS for place in (folder, folder.parent))
+        path = next((p for p in paths if p.is_file()), None)
+        return found if path is None else {**found, "camera": path}
+
     def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""
         return (loading.scene_files(scene, NEEDED) for scene in self.index.scenes)
@@ -145,6 +154,12 @@ def _frame(
     )
 
 
+def _first(folder: Path, stem: str, suffixes: Sequence[str]) -> Path:
+    """The first of these files that exists, else the first name."""
+    paths = [folder / f"{stem}{suffix}" for suffix in suffixes]
+    return next((path for path in paths if path.is_file()), paths[0])
+
+
 def camera_of_view(size: tuple[int, int], fov_x: float = COLOR_FOV_X) -> Camera:
     """Return a centred camera with square pixels and horizontal field of view `fov_x`, radians."""
     width, height = size
@@ -187,6 +202,16 @@ class ClearGraspSynthetic:
         document = Path(scene.path) / "json-files" / f"{stem}-masks.json"
         key, has = splits.FrameKey(scene.name, stem), ("colour",) if sensor else ()
         return _frame(key, path, has, lambda size: camera_of_view(size, _field_of_view(document)))
+
+    def inputs(self, index: int, *, nocs: bool = False) -> dict[str, Path]:  # noqa: ARG002
+        """See `DepthSource`."""
+        scene, stem = self.index.at(index)
+        place = Path(scene.path)
+        found = {
+            what: _first(place / folder, stem, suffixes)
+            for what, (folder, suffixes) in _FOLDERS.items()
+        }
+        return found | {"camera": place / "json-files" / f"{stem}-masks.json"}
 
     def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""

@@ -25,13 +25,13 @@ import numpy as np
 from benchmark.data import loading
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
 from benchmark.data.splits import FrameKey, SceneFiles
-from benchmark.data.true_poses import KnownBox, model_handle, model_sides
+from benchmark.data.true_poses import KnownBox, model_files, model_handle, model_sides
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.importers import intrinsics, std_importer, std_objects
 from std_toolkit.io.images import read_color
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, MATERIAL_IDS
-from std_toolkit.scene.sidecar import find_sidecar
+from std_toolkit.scene.sidecar import SIDECAR_NAME, find_sidecar
 
 COLOR = ("_color.png",)
 
@@ -54,12 +54,15 @@ class SceneCamera:
         given: whether it was read from a file and is valid for one image size only; otherwise it
             is the constant of the layout.
         without_depth: stems of frames whose raw depth is a placeholder.
+        file: that tells the cameras: the sidecar of an export, or the record of `std-sim`; None for
+            the constants of the layout.
     """
 
     usual: Camera
     by_stem: dict[str, Camera] = field(default_factory=dict)
     given: bool = False
     without_depth: frozenset[str] = frozenset()
+    file: Path | None = None
 
     def of(self, stem: str, size: tuple[int, int], *, path: Path) -> Camera:
         """Return the camera of a frame with label maps of `size`; `path` is one of them.
@@ -108,6 +111,7 @@ def read_scene_camera(folder: Path, layout: std_importer.Layout) -> SceneCamera:
             by_stem,
             given=True,
             without_depth=frozenset(f.stem for f in sidecar.frames if not f.sensor_depth),
+            file=found[1] / SIDECAR_NAME,
         )
     place = folder.resolve()
     for top in list(place.parents)[:4]:
@@ -116,7 +120,8 @@ def read_scene_camera(folder: Path, layout: std_importer.Layout) -> SceneCamera:
             read = intrinsics.read_intrinsics(str(record))
             if read.size is None:
                 raise ToolkitError("the record tells no image size", path=record, field="width")
-            return SceneCamera(read.scene_camera(read.size, path=str(record)), given=True)
+            camera = read.scene_camera(read.size, path=str(record))
+            return SceneCamera(camera, given=True, file=record)
     return SceneCamera(constant)
 
 
@@ -208,6 +213,31 @@ class LayoutScenes:
                 if sides is not None:
                     handle = model_handle(folder, *names) if line.class_id == MUG else None
                     found[line.mask_id] = KnownBox(sides, handle=handle)
+        return found
+
+    def inputs(self, index: int, *, nocs: bool = False) -> dict[str, Path]:
+        """See `DepthSource`."""
+        scene, stem = self.index.at(index)
+        folder = Path(scene.path)
+        found = {
+            what: next((p for s in suffixes if (p := folder / f"{stem}{s}").is_file()), None)
+            or folder / f"{stem}{suffixes[0]}"
+            for what, suffixes in needed_files(LAYOUTS[self.layout]).items()
+        }
+        try:
+            camera, lines = self._camera(scene.path).file, []
+            if nocs:
+                found["NOCS"] = folder / f"{stem}{NOCS[0]}"
+                lines = std_objects.read_meta(found["meta file"], any_class=True)
+        except ToolkitError:  # reading the frame says what is wrong with these files
+            return found
+        if camera is not None:
+            found["camera"] = camera
+        for line in lines:
+            if line.class_folder is not None and line.instance_folder is not None:
+                names = line.class_folder, line.instance_folder
+                for path in model_files(folder, *names):
+                    found[f"{path.name} of {names[1]}"] = path
         return found
 
     def files(self) -> Iterator[SceneFiles]:

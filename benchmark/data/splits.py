@@ -1,16 +1,14 @@
 """Splits of data sets: frames by index, the registry of names, splits with saved restored depth."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from benchmark.data.frame import DepthFrame
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.exr import read_exr_channel
+from std_toolkit.io.documents import digest_of
 from std_toolkit.plugins import Registry
 
 # Suffix of raw depth files by prefix of the split name.
@@ -49,6 +47,10 @@ class SceneFiles(NamedTuple):
     missing: dict[str, list[str]]
 
 
+# Files of a frame by content; a text is the digest of what is in no file of its own.
+Inputs = Mapping[str, Path | str]
+
+
 class DepthSource(Protocol):
     """Frames of a split. Sources can be pickled and sent to worker processes.
 
@@ -83,9 +85,43 @@ class DepthSource(Protocol):
         """
         ...
 
+    def inputs(self, index: int, *, nocs: bool = False) -> Inputs:
+        """Return the files that `load` and `known_boxes` read for a frame, by content.
+
+        A source of a third party may lack this method: its frames are then known by their arrays.
+
+        Args:
+            index: index of the frame, from 0.
+            nocs: also those that only poses need.
+        """
+        ...
+
     def files(self) -> Iterator[SceneFiles]:
         """Yield the files of every scene, for `check_split`."""
         ...
+
+
+def inputs_of(source: DepthSource, index: int, *, nocs: bool = False) -> Inputs:
+    """Return what a source reads for a frame.
+
+    Args:
+        source: of a third party, it may lack `inputs`; its frames are then known by their arrays.
+        index: of the frame.
+        nocs: also what poses need.
+    """
+    named = getattr(source, "inputs", None)
+    if named is not None:
+        return dict(named(index, nocs=nocs))
+    try:
+        frame = source.load(index, nocs=nocs)
+    except Exception:  # what is wrong with it, scoring says
+        return {"frame": ""}
+    arrays = (frame.color, frame.depth_raw, frame.depth_true, frame.mask, frame.nocs)
+    known = [None if a is None else [a.shape, a.dtype.str, a.tobytes()] for a in arrays]
+    camera = frame.camera
+    focal = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]
+    objects = [[i.mask_id, i.class_id, int(i.material)] for i in frame.instances]
+    return {"frame": digest_of(known, focal, objects, versioned=False)}
 
 
 def names_digest(keys: Iterable[FrameKey]) -> str:
@@ -195,41 +231,3 @@ def saved_depth_path(folder: Path, split: str, key: FrameKey) -> Path:
     """Return the path of restored depth of a frame: FOLDER/SCENE/NAME + suffix of the data set."""
     suffix = _SUFFIXES.get(split.partition("-")[0], _OTHERS)
     return folder / key.scene / f"{key.name}{suffix}"
-
-
-@dataclass(frozen=True)
-class WithSavedDepth:
-    """Frames of `source` with saved depth of `folder` instead of sensor depth; see `DepthSource`.
-
-    Raises:
-        ToolkitError: the folder does not exist.
-    """
-
-    source: DepthSource
-    folder: Path
-
-    def __post_init__(self) -> None:
-        if not self.folder.is_dir():
-            raise ToolkitError("no such folder of saved depth", path=self.folder)
-
-    @property
-    def name(self) -> str:
-        return self.source.name
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def keys(self) -> list[FrameKey]:
-        return self.source.keys()
-
-    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
-        """See `DepthSource`."""
-        frame = self.source.load(index, sensor=sensor, nocs=nocs)
-        path = saved_depth_path(self.folder, self.name, FrameKey(frame.scene, frame.name))
-        depth = read_exr_channel(path).astype(np.float32)
-        depth[~(np.isfinite(depth) & (depth > 0))] = 0
-        return replace(frame, depth_raw=depth)
-
-    def files(self) -> Iterator[SceneFiles]:
-        """See `DepthSource`."""
-        return self.source.files()

@@ -119,6 +119,25 @@ class ToolkitScenes:
             found[obj.id] = true_poses.KnownBox(sides, RT, handle)
         return found
 
+    def inputs(self, index: int, *, nocs: bool = False) -> dict[str, Path]:
+        """See `DepthSource`; what the documents say of a scene counts for each of its frames."""
+        scene, frame = self._frame(index)
+        found = {name: scene.root / name for name in ("scene.json", "objects.json")}
+        found["colour"] = scene.root / frame.color
+        if frame.depth is not None:
+            found["raw depth"] = scene.root / frame.depth
+        truth = _truth_files(scene, frame)
+        if truth is not None:
+            found |= {"ground-truth depth": truth.depth, "mask": truth.mask}
+            if truth.rendered:
+                found["record of the ground truth"] = info_path(scene.root, frame.id)
+            if nocs:
+                found["NOCS"] = truth.nocs
+        if nocs:
+            for model in scene.objects.models:
+                found[f"mesh of {model.id}"] = scene.root / model.mesh
+        return found
+
     def files(self) -> Iterator[splits.SceneFiles]:
         """See `DepthSource`."""
         for scene in self.index.scenes:

@@ -256,6 +256,15 @@ def model_handle(scene: Path, class_folder: str, instance_folder: str) -> MugHan
     return None
 
 
+def model_files(scene: Path, class_folder: str, instance_folder: str) -> list[Path]:
+    """Return the files that `model_sides` and `model_handle` read."""
+    places = [p / class_folder / instance_folder for p in _places(scene.resolve())]
+    found = (
+        next((p / name for p in places if (p / name).is_file()), None) for name in (FILE, MESH)
+    )
+    return [path for path in found if path is not None]
+
+
 def mesh_handle(mesh: trimesh.Trimesh) -> MugHandle | None:
     """Find the handle of a mug in its mesh, of any unit."""
     from std_toolkit.geometry.mesh import nocs_frame

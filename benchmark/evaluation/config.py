@@ -66,7 +66,7 @@ class NetworkConfig(TaskConfig):
     weights: tuple[str, ...] = ()
     """[METHOD=]FILE of trained weights: safetensors, or a checkpoint of tensors alone"""
     settings: tuple[str, ...] = field(default=(), metadata=_option("set"))
-    """[METHOD.]NAME=VALUE, a method's own settings"""
+    """[METHOD.]NAME=VALUE, a method's own settings (of the only method that has one so called)"""
     devices: tuple[str, ...] = field(default=("cpu",), metadata=_option("device"))
     """torch devices: cpu, cuda:0 cuda:1, ..."""
     precision: Literal["fp32", "bf16", "fp16"] = "fp32"
@@ -86,8 +86,8 @@ class FrameConfig(NetworkConfig):
     """Options of a task over the frames of data sets; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
-    """names of `std-bench list methods`, package.module:Class, file.py:Class, or, for poses,
-    'command:PROGRAM ARGUMENTS'"""
+    """names of `std-bench list methods`, package.module:Class, file.py:Class; for depth, NAME=DIR
+    of predictions; for poses, 'command:PROGRAM ARGUMENTS'"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))
@@ -120,7 +120,10 @@ class DepthConfig(FrameConfig):
     task = "depth"
 
     depth_from: Path | None = None
-    """folder of depth saved by --save-depth that replaces the sensor's"""
+    """folder of predicted depth that replaces the sensor's; as --method NAME=DIR"""
+    depth_units: tuple[str, ...] = field(default=(), metadata=_option("depth-unit"))
+    """[NAME=]UNIT of predicted depth in folders: m, cm, mm, 0.1mm, or metres per number (mm of
+    whole numbers, m of others)"""
     save_depth: bool = False
     """keep the restored depth beside the results"""
     probes: tuple[Literal["holes", "color"], ...] = field(default=(), metadata=_option("probe"))
@@ -307,10 +310,10 @@ def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str
     Raises:
         ToolkitError: weights or settings for a method that is not requested.
     """
-    from benchmark.methods.registry import MethodOptions, preset_for
+    from benchmark.methods.registry import MethodOptions, has_setting, preset_for
 
     weights = weights_by_method(config.weights, methods)
-    settings = settings_by_method(config.settings, methods)
+    settings = settings_by_method(config.settings, methods, has_setting)
     return {
         method: MethodOptions(
             preset=preset_for(method, config.preset, weights.get(method)),

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame
-from benchmark.data.loading import read_depth_map
-from benchmark.data.splits import FrameKey, saved_depth_path
+from benchmark.data.predictions import DepthFolder
+from benchmark.data.splits import FrameKey
 from benchmark.evaluation.frames import error_line, restore_views
 from benchmark.evaluation.values import plain_label
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
@@ -77,8 +77,7 @@ class DepthProvider:
         self.restorer: Restorer | None = None
         if choice.is_restored:
             self.restorer = make_restorer(choice.name, choice.options)
-        elif choice.folder is not None and not choice.folder.is_dir():
-            raise ToolkitError("no such folder of saved depth", path=choice.folder)
+        self.answers = None if choice.folder is None else DepthFolder(choice.folder, split)
 
     def setup(self) -> dict[str, Any]:
         """Return the fields of a setup that the depth determines."""
@@ -104,22 +103,9 @@ class DepthProvider:
         }
 
     def _known(self, frame: DepthFrame) -> Depth | str:
-        if self.choice.folder is None:
+        if self.answers is None:
             return frame.depth_true if self.choice.name == TRUE else frame.depth_raw
-        key = FrameKey(frame.scene, frame.name)
-        path = find_saved_depth(self.choice.folder, self.split, key)
         try:
-            return read_depth_map(path)
+            return self.answers.read(FrameKey(frame.scene, frame.name))
         except ToolkitError as error:
             return error_line(error)
-
-
-def find_saved_depth(folder: Path, split: str, key: FrameKey) -> Path:
-    """Return the file of saved depth of a frame, which need not exist.
-
-    It is FOLDER/SCENE/NAME + suffix, as `std-bench depth --save-depth` writes it, or
-    FOLDER/SCENE/depth/NAME.exr, as `std-restore` does.
-    """
-    path = saved_depth_path(folder, split, key)
-    restored = folder / key.scene / "depth" / f"{key.name}.exr"
-    return restored if restored.is_file() and not path.is_file() else path

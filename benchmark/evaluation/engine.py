@@ -7,7 +7,7 @@ the same if the run is interrupted, killed or spread over machines.
 import fcntl
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -16,6 +16,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import pandas as pd
 
+from benchmark.data.provenance import Provenance
+from benchmark.data.splits import FrameKey, Inputs
+from benchmark.evaluation.renewal import renew
 from benchmark.evaluation.results import good_frames, join_parts, report_failures
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
@@ -111,16 +114,20 @@ class TaskRun(Generic[D, M]):
         manifest_name, table_name: file names of a run.
         unit: name of its work items, in the plural.
         beside: files of a run that older versions wrote without a manifest.
+        derived: files made of the table, which go when its rows do.
         network_shares_cpu: whether several workers may run a network on the CPU at a time.
         devices: torch devices; each worker uses one.
+        out: folder of results, which several runs share.
     """
 
     manifest_name: ClassVar[str]
     table_name: ClassVar[str]
     unit: ClassVar[str] = "pieces of work"
     beside: ClassVar[tuple[str, ...]] = ()
+    derived: ClassVar[tuple[str, ...]] = ()
     network_shares_cpu: ClassVar[bool] = False
     devices: tuple[str, ...]
+    out: Path
 
     @property
     def folder(self) -> Path:
@@ -183,6 +190,18 @@ class TaskRun(Generic[D, M]):
     def manifest(self, data: D, methods: M) -> Any:
         """Return the manifest of the run, see `benchmark.evaluation.manifest`."""
         raise NotImplementedError
+
+    def inputs(self, data: D) -> Iterable[tuple[int, FrameKey, Inputs]]:  # noqa: ARG002
+        """Return what the run reads: index and name of a frame, and its files by content."""
+        return ()
+
+    def frames_there(self, data: D) -> int:
+        """Return the number of frames of the data set, of which the run may take a part."""
+        return len(data)  # type: ignore[arg-type]
+
+    def provenance(self, data: D) -> Provenance:  # noqa: ARG002
+        """Return where the data come from."""
+        return Provenance()
 
     def items(self, data: D, done: set[int], workers: int) -> Sequence[Any]:
         """Return the remaining work items, given the indices of the finished ones."""
@@ -247,6 +266,7 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
             Finished work is kept.
     """
     jobs = jobs or JobOptions()
+    _kept.clear()  # the files may have changed since this process read them
     data = run.open()
     run.check(data)
     # Created here once before the workers start, so that a wrong option is reported once.
@@ -264,6 +284,7 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
     check_begun(folder / run.manifest_name, hint=hint, beside=run.beside)
     folder.mkdir(parents=True, exist_ok=True)
     with hold_lock(folder, "lock", doing="writing to", wait=True):
+        renewal = renew(run, data)
         begin(
             folder / run.manifest_name,
             manifest,
@@ -274,7 +295,8 @@ def run_task(run: TaskRun[Any, Any], jobs: JobOptions | None = None) -> pd.DataF
         )
         sweep_temporaries(folder)
         # Joined before parts are added: they may have the names of earlier ones.
-        work = run.items(data, good_frames(join_parts(folder, table)), jobs.worker_count)
+        right = renewal.apply(run, data, join_parts(folder, table))
+        work = run.items(data, good_frames(right), jobs.worker_count)
         report = run_jobs(Worker(run), work, name=run.title, key=run.item_title, options=jobs)
         whole = join_parts(folder, table)
     if report.failed:

@@ -6,14 +6,25 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from benchmark.data.splits import DepthSource, names_digest, open_split
+from benchmark.data.identity import SAVED_DEPTH
+from benchmark.data.predictions import DepthFolder
+from benchmark.data.provenance import Provenance, provenance_of
+from benchmark.data.splits import (
+    DepthSource,
+    FrameKey,
+    Inputs,
+    inputs_of,
+    names_digest,
+    open_split,
+)
 from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.evaluation.values import checked_label, data_of, plain_label
@@ -308,8 +319,10 @@ class FrameRun(FramesRun[DepthSource, M]):
         out: folder of results.
         limit: number of frames, evenly spaced over the split; None for all.
         gallery: keep pictures of a few frames.
+        needs_nocs: whether the task reads what only poses need.
     """
 
+    needs_nocs: ClassVar[bool] = False
     split: str
     root: Path
     method: str
@@ -344,6 +357,23 @@ class FrameRun(FramesRun[DepthSource, M]):
 
     def chosen(self, data: DepthSource) -> list[int]:
         return chosen_frames(len(data), self.limit)
+
+    def inputs(self, data: DepthSource) -> Iterator[tuple[int, FrameKey, Inputs]]:
+        """Yield the frames that the run uses, with the files that are read for each."""
+        keys, answers = data.keys(), self.answers(data)
+        for index in self.chosen(data):
+            found = dict(inputs_of(data, index, nocs=self.needs_nocs))
+            if answers is not None:
+                with suppress(ToolkitError):  # scoring says what is wrong
+                    found[SAVED_DEPTH] = answers.path(keys[index])
+            yield index, keys[index], found
+
+    def answers(self, data: DepthSource) -> DepthFolder | None:  # noqa: ARG002
+        """Return the folder of saved depth that the run reads, if any."""
+        return None
+
+    def provenance(self, data: DepthSource) -> Provenance:
+        return provenance_of(data, self.split)
 
     def setup(self, data: DepthSource, method: object) -> dict[str, Any]:
         """Return the fields that determine the table and are common to all methods on frames."""

@@ -61,6 +61,7 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         protocol: the scoring protocol.
         batch_size: frames that are passed to the method together.
         depth_from: folder of the depth that replaces the sensor depth; empty for sensor depth.
+        depth_unit: stated metres per number of its files; 0 if their type tells it.
         released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
         probes: what the method was run again for: `holes`, `color`.
     """
@@ -68,6 +69,7 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     protocol: Name
     batch_size: Count
     depth_from: str
+    depth_unit: float = 0.0
     released_loader: Count = 0
     probes: list[str] = []
 

@@ -5,16 +5,26 @@ end all parts are joined into one table in the order of the frames.
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence, Set
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 import pandas as pd
 
+from benchmark.data.identity import COLUMNS
+from benchmark.evaluation.known_data import (
+    CONTENT_FILE,
+    DATA_FILE,
+    DataRecord,
+    KnownData,
+    names_of_data,
+    published_size,
+)
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.documents import read_document
 from std_toolkit.log import logger
 
 TABLE = "images.parquet"
@@ -30,7 +40,8 @@ INDEX, SCENE, FRAME = "index", "scene", "frame"
 
 # Columns of text; all others hold numbers.
 _TEXTS = {
-    SCENE, FRAME, "error", "grid", "subset", "kind", "fate", "outcome", "model", "found"
+    SCENE, FRAME, "content", "digest", "error", "grid", "subset", "kind", "fate", "outcome",
+    "model", "found",
 }  # fmt: skip
 
 _LONGEST_NAME = 1000
@@ -71,6 +82,20 @@ def read_table(path: Path) -> pd.DataFrame:
             path=path,
             hint="delete it and run the same command again",
         ) from error
+
+
+def read_known(folder: Path) -> KnownData:
+    """Read what a run knows of its data.
+
+    Raises:
+        ToolkitError: a file is damaged.
+    """
+    path = folder / DATA_FILE
+    if not path.exists():
+        return KnownData()
+    content = read_table(folder / CONTENT_FILE)
+    check_columns(content, COLUMNS, folder / CONTENT_FILE)
+    return KnownData(read_document(path, DataRecord), content)
 
 
 def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> None:
@@ -139,6 +164,22 @@ def join_parts(folder: Path, name: str = TABLE) -> pd.DataFrame:
     return table
 
 
+def drop_frames(folder: Path, name: str, table: pd.DataFrame, frames: Set[int]) -> pd.DataFrame:
+    """Remove the rows of some frames from table `name`, whose parts are joined.
+
+    Returns:
+        The other rows.
+
+    Raises:
+        ToolkitError: the table cannot be written.
+    """
+    kept = table[~table[INDEX].isin(frames)].reset_index(drop=True)
+    if (folder / name).exists():
+        with atomic_path(folder / name) as temporary:
+            kept.to_parquet(temporary, index=False, write_page_checksum=True)
+    return kept
+
+
 def _newest(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """One table in the order of the frames; later rows of a frame replace earlier ones."""
     if not tables:
@@ -176,11 +217,25 @@ class Result(Generic[M]):
         folder: folder of the run.
         manifest: its manifest.
         table: its rows.
+        data: what the run knows of its data.
+        place: name of the data set on pages; set by `find_runs`, for which content counts.
     """
 
     folder: Path
     manifest: M
     table: pd.DataFrame
+    data: KnownData = field(default_factory=KnownData, kw_only=True)
+    place: str = field(default="", kw_only=True)
+
+    @property
+    def named(self) -> str:
+        """Name of the data set on pages if there is one of this name."""
+        return self.data.named(getattr(self.manifest.setup, "split", ""))
+
+    def at(self, place: str) -> Self:
+        """Return the result with the name of its data set, also in the table's column `split`."""
+        table = self.table.assign(split=place) if "split" in self.table else self.table
+        return replace(self, place=place, table=table)
 
     @property
     def title(self) -> str:
@@ -197,8 +252,50 @@ class Result(Generic[M]):
         """Number of frames without rows: the run was interrupted, or a worker failed."""
         return self.frames - int(self.table[INDEX].nunique())
 
+    @property
+    def failed(self) -> int:
+        """Number of frames that could not be read, or at which the method failed."""
+        return int(self.table.loc[self.table[ERROR] != "", INDEX].nunique())
+
+    @property
+    def failed_everywhere(self) -> bool:
+        """Whether the method failed at every frame: it then has no figures."""
+        return 0 < self.failed == self.frames - self.missing
+
+
+FAILED = "failed"  # in the place of figures
 
 Found = TypeVar("Found", bound=Result[Any])
+
+
+def unanswered(results: Iterable[Result[Any]]) -> dict[str, int]:
+    """Return how many frames each result of one data set has no answer to, by title.
+
+    Frames are those of the result with the most; others may have been run on fewer, or stopped.
+    """
+    every = list(results)
+    most = max((r.frames for r in every), default=0)
+    return {r.title: most - r.frames + r.missing + r.failed for r in every}
+
+
+def counted(results: Iterable[Result[Any]], frames: int | None = None) -> str:
+    """Return the number of frames of results of one data set, and where the frames come from.
+
+    Args:
+        results: at least one.
+        frames: their number; by default the largest number of scored ones.
+    """
+    every = list(results)
+    if frames is None:
+        frames = max(r.frames - r.missing for r in every)
+    known = every[0].data
+    if known.provenance.kind == "published":
+        there = published_size(every[0].manifest.setup.split)
+    else:
+        there = max((r.data.record.frames for r in every if r.data.record), default=frames)
+    many = "" if frames == 1 else "s"
+    text = f"{frames:,} frame{many}" if frames >= there else f"{frames:,} of {there:,} frames"
+    return text if known.provenance.kind == "published" else f"{text}, {known.origin}"
 
 
 def find_runs(
@@ -215,7 +312,7 @@ def find_runs(
         ToolkitError: a folder does not exist or has no finished run, a run is damaged, or two
             runs have the same title.
     """
-    found: dict[str, Found] = {}
+    every: list[Found] = []
     for folder in folders:
         begun = sorted(path.parent for path in folder.rglob(manifest))
         finished = [path for path in begun if (path / table).exists()]
@@ -226,19 +323,23 @@ def find_runs(
         for path in begun:
             if path not in finished:
                 logger.warning("%s: not finished, left out", path)
-        for path in finished:
-            result = read(path)
-            other = found.setdefault(result.title, result)
-            if other.folder.resolve() != path.resolve():
-                raise ToolkitError(
-                    f"{result.title} stands in two folders",
-                    path=path,
-                    value=str(other.folder),
-                    hint="give one of them another name with --label",
-                )
-            if result.missing:
-                logger.warning(
-                    "%s: not finished: %d of %d frames are missing",
-                    path, result.missing, result.frames,
-                )  # fmt: skip
+        every += [read(path) for path in finished]
+    every = list({result.folder.resolve(): result for result in every}.values())
+    places = names_of_data([r.named for r in every], [r.data for r in every])
+    found: dict[str, Found] = {}
+    for result, place in zip(every, places, strict=True):
+        result = result.at(place)
+        other = found.setdefault(result.title, result)
+        if other is not result:
+            raise ToolkitError(
+                f"{result.title} stands in two folders",
+                path=result.folder,
+                value=str(other.folder),
+                hint="give one of them another name with --label",
+            )
+        if result.missing:
+            logger.warning(
+                "%s: not finished: %d of %d frames are missing",
+                result.folder, result.missing, result.frames,
+            )  # fmt: skip
     return list(found.values())

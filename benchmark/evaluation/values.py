@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from std_toolkit.errors import ToolkitError
@@ -57,25 +57,32 @@ def weights_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str,
     return {m: Path(text) for m, text in _by_method(texts, methods, "weights", "=")}
 
 
-def settings_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, dict[str, str]]:
+def settings_by_method(
+    texts: Sequence[str], methods: Sequence[str], has: Callable[[str, str], bool]
+) -> dict[str, dict[str, str]]:
     """Return settings by method, with an entry for each of `methods`.
 
     Args:
-        texts: `METHOD.NAME=VALUE`, or `NAME=VALUE` if there is one method.
+        texts: `METHOD.NAME=VALUE`, or `NAME=VALUE` if one method alone has it.
         methods: names of all methods.
+        has: whether a method has a setting.
 
     Raises:
-        ToolkitError: a setting without a method, or without a value.
+        ToolkitError: a setting of no or several methods, or without a value.
     """
     settings: dict[str, dict[str, str]] = {method: {} for method in methods}
-    for method, text in _by_method(texts, methods, "settings", "."):
+    for method, text in _by_method(texts, methods, "settings", ".", has):
         name, value = setting_of(text)
         settings[method][name] = value
     return settings
 
 
 def _by_method(
-    texts: Sequence[str], methods: Sequence[str], field_name: str, separator: str
+    texts: Sequence[str],
+    methods: Sequence[str],
+    field_name: str,
+    separator: str,
+    has: Callable[[str, str], bool] = lambda _method, _name: False,
 ) -> list[tuple[str, str]]:
     """Pairs of a method and the text that applies to it."""
     found = []
@@ -83,15 +90,18 @@ def _by_method(
         method = next((m for m in methods if text.startswith(m + separator)), None)
         if method is not None:
             found.append((method, text.removeprefix(method + separator)))
-        elif len(methods) == 1:
-            found.append((methods[0], text))
-        else:
+            continue
+        named = methods
+        if len(methods) > 1:
+            named = [m for m in dict.fromkeys(methods) if has(m, text.partition("=")[0])]
+        if len(named) != 1:
             raise ToolkitError(
                 "does not say which method it is for",
                 field=field_name,
                 value=text,
-                hint=f"METHOD{separator}..., with one of {', '.join(methods)}",
+                hint=f"METHOD{separator}..., with one of {', '.join(named or methods)}",
             )
+        found.append((named[0], text))
     return found
 
 

@@ -7,7 +7,7 @@ import hashlib
 import inspect
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
@@ -143,6 +143,9 @@ restorers: MethodRegistry[Restorer] = MethodRegistry(
 )
 
 
+_COMMAND_CLASS = "benchmark.methods.pose.command:CommandMethod"
+
+
 class _PoseMethods(MethodRegistry[PoseEstimator]):
     def make(self, name: str, options: MethodOptions | None = None) -> PoseEstimator:
         """As `MethodRegistry.make`, or a program as `command:PROGRAM ARGUMENTS`."""
@@ -150,7 +153,7 @@ class _PoseMethods(MethodRegistry[PoseEstimator]):
             given = options or MethodOptions()
             settings = {**given.settings, "command": name.removeprefix(COMMAND)}
             options = replace(given, settings=settings)
-            name = "benchmark.methods.pose.command:CommandMethod"
+            name = _COMMAND_CLASS
         return super().make(name, options)
 
 
@@ -186,6 +189,22 @@ METHODS: dict[str, MethodRegistry[Any]] = {
     "pose": pose_methods,
     "grasp": grasp_planners,
 }
+
+
+def has_setting(name: str, setting: str) -> bool:
+    """Whether a method has a setting; of methods that do not tell theirs it is not known to.
+
+    A method tells by `settings_type`, the dataclass of its settings.
+
+    Raises:
+        ToolkitError: the method cannot be imported.
+    """
+    name = _COMMAND_CLASS if name.startswith(COMMAND) else name
+    registry = next((r for r in METHODS.values() if name in r.names()), None)
+    if registry is None and ":" in name:
+        registry = restorers  # any finds a class by its place
+    kind = getattr(registry.get(name), "settings_type", None) if registry else None
+    return kind is not None and setting in {field.name for field in fields(kind)}
 
 
 def make_restorer(name: str, options: MethodOptions | None = None) -> Restorer:

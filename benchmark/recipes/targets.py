@@ -9,6 +9,7 @@ from benchmark.published.load import SPLIT_OF
 from benchmark.recipes.frame_sets import given_set, named_folders
 from benchmark.recipes.recipe import Recipe, Test
 from std_toolkit.errors import ToolkitError
+from std_toolkit.log import logger
 
 _DATASET_OF = {split: dataset for dataset, split in SPLIT_OF.items()}
 
@@ -55,13 +56,15 @@ def find_targets(recipe: Recipe, data: Sequence[str]) -> list[Target]:
         if root is not None:
             used.add(root)
         targets.append(_target(name, test, split, root))
-    for root in roots:
-        if root not in used:
-            raise ToolkitError(
-                "holds none of the recipe's tests",
-                path=root,
-                hint=f"they are {', '.join(recipe.tests)}; TEST=ROOT names the one that it is",
-            )
+    others = [root for root in roots if root not in used]
+    if others and not used:
+        raise ToolkitError(
+            "holds none of the recipe's tests",
+            path=others[0],
+            hint=f"they are {', '.join(recipe.tests)}; TEST=ROOT names the one that it is",
+        )
+    for root in others:
+        logger.warning("%s: passed over, holds none of the recipe's tests", root)
     return targets
 
 

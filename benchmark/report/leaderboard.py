@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from benchmark.data.splits import get_split, splits
 from benchmark.evaluation import probes
-from benchmark.evaluation.results import ERROR, FAILURES, INDEX
+from benchmark.evaluation.known_data import published_size
+from benchmark.evaluation.results import FAILURES, counted, unanswered
 from benchmark.evaluation.tasks.depth_results import (
     OVER_ALL,
     OVER_ANSWERED,
@@ -39,10 +39,14 @@ METRICS = tuple(figure.column for figure in FIGURES)
 
 COSTS = (
     Column(name="frames_per_s", heading="speed", unit="frames/s", lower_is_better=False),
+    Column(name="processor_s", heading="processor", unit="s/frame", digits=3),
+    Column(name="load", heading="load", digits=1),
     Column(name="parameters", heading="parameters", unit="M", factor=1e-6, digits=2),
     Column(name="gmacs", heading="MACs", unit="G"),
     Column(name="peak_memory_mib", heading="peak memory", unit="MiB", digits=0),
 )
+
+_COSTS = (*(column.name for column in COSTS), "hardware")
 
 BOARD = (*METRICS, COVERAGE)
 
@@ -69,18 +73,22 @@ class Board:
         return self.part(split, protocol, grid, subset)
 
     def part(self, split: str, protocol: str, grid: str, subset: str) -> pd.DataFrame:
-        """Return the rows of one split, protocol, grid and subset: first measured, then published
-        ones, each best first."""
+        """Return the rows of one split, protocol, grid and subset, each kind best first: measured
+        ones, those that lack frames, published ones."""
         rows = self.rows
         chosen = (rows["split"] == split) & (rows["protocol"] == protocol)
         chosen &= (rows["grid"] == grid) & (rows["subset"] == subset)
-        by = ["kind", RANKED_BY, "method"]  # "measured" comes before "published"
-        return rows[chosen].sort_values(by, kind="stable", ignore_index=True)
+        found = rows[chosen].assign(lacks=~is_ranked(rows[chosen]))
+        by = ["kind", "lacks", RANKED_BY, "method"]  # "measured" comes before "published"
+        return found.sort_values(by, kind="stable", ignore_index=True).drop(columns="lacks")
 
-    def frames(self, split: str) -> int:
-        """Return the largest number of scored frames of the split over runs."""
-        runs = [r for r in self.results if r.manifest.setup.split == split]
-        return max(r.manifest.setup.frames - r.missing for r in runs)
+    def counted(self, split: str) -> str:
+        """Return the largest number of scored frames over runs, and where they come from."""
+        return counted(self.runs(split))
+
+    def runs(self, split: str) -> list[RunResult]:
+        """Return the runs on a data set."""
+        return [r for r in self.results if r.place == split]
 
     @property
     def boards(self) -> list[tuple[str, str]]:
@@ -89,14 +97,18 @@ class Board:
         return list(found.drop_duplicates().itertuples(index=False, name=None))
 
 
-# split, protocol, grid, subset, method: key of the row. kind: MEASURED or PUBLISHED. Numbers of
-# frames and scenes included, and of failed frames. OVER_ALL with INTERVALS, OVER_ANSWERED. p_best:
-# corrected p of the comparison with the best measured method. Then cost. Then, for published rows,
-# source and training data. Last what a user sees of the method, the same in all of its rows.
+# split, protocol, grid, subset, method: key of the row. kind: MEASURED or PUBLISHED. Where the
+# frames come from. Numbers of frames and scenes included, of frames at which the method failed, and
+# of those of the data set without an answer: rows with any are not ranked. OVER_ALL with INTERVALS,
+# OVER_ANSWERED. p_best: corrected p of the comparison with the best ranked method. Then cost. Then,
+# for published rows, source and training data. Last what a user sees of the method, the same in all
+# of its rows.
 COLUMNS = (
-    "split", "protocol", "grid", "subset", "method", "kind", "frames", "scenes", "failed",
-    *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "parameters", "gmacs",
-    "peak_memory_mib", "hardware", "training_data", "table", *probes.NAMES,
+    "split", "protocol", "grid", "subset", "method", "kind", "provenance", "frames", "scenes",
+    "failed", "unanswered",
+    *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "processor_s",
+    "load", "parameters", "gmacs", "peak_memory_mib", "hardware", "training_data", "table",
+    *probes.NAMES,
 )  # fmt: skip
 
 
@@ -106,21 +118,15 @@ def frames_of(split: str, frames: int) -> str:
     >>> frames_of("std-catknown", 36), frames_of("scenes", 36)
     ('36 of 22,500 frames', '36 frames')
     """
-    if is_fragment(split, frames):
-        return f"{frames:,} of {_split_size(split):,} frames"
+    size = published_size(split)
+    if frames < size:
+        return f"{frames:,} of {size:,} frames"
     return f"{frames:,} frame{'' if frames == 1 else 's'}"
 
 
-def is_fragment(split: str, frames: int) -> bool:
-    """Whether `frames` is less than the published size of the split."""
-    size = _split_size(split)
-    return size is not None and frames < size
-
-
-def _split_size(split: str) -> int | None:
-    # A name such as `module:SPLIT` comes from a result file: do not import it.
-    known = get_split(split).published if split in splits.names() else ()
-    return min((p.frames for p in known if not p.of_more), default=None)
+def is_ranked(rows: pd.DataFrame) -> pd.Series:
+    """Whether each row competes: measured, with an answer to every frame of its data set."""
+    return (rows["kind"] == MEASURED) & (rows["unanswered"].fillna(0) == 0)
 
 
 def merge_equal(rows: pd.DataFrame, figures: Sequence[str]) -> pd.DataFrame:
@@ -177,6 +183,11 @@ def make_board(
                 split, protocol, grid, subset,
             )  # fmt: skip
             continue
+        here = [r for r in results if (r.place, r.manifest.setup.protocol) == (split, protocol)]
+        lacking = unanswered(here)
+        means["unanswered"] = means["method"].map(
+            {r.manifest.label: lacking[r.title] for r in here}
+        )
         parts.append(_with_significance(means, one))
     if not parts:
         raise ToolkitError(
@@ -184,22 +195,23 @@ def make_board(
             path=results[0].folder,
             hint=f"{FAILURES} beside the tables tells what failed",
         )
-    rows = pd.concat(parts, ignore_index=True)
-    rows["kind"] = MEASURED
+    rows = pd.concat(parts, ignore_index=True).assign(kind=MEASURED)
     of_run = ["split", "protocol", "method"]
     rows = rows.merge(_costs(results), on=of_run, how="left")
     rows = rows.merge(summarise_seen(scored, by=of_run), on=of_run, how="left")
     if published:
-        rows = pd.concat([rows, _published(rows)], ignore_index=True)
+        rows = pd.concat([rows, _published(rows, results)], ignore_index=True)
     return Board(rows.reindex(columns=list(COLUMNS)), tables, tuple(results))
 
 
 def _with_significance(means: pd.DataFrame, one: pd.DataFrame) -> pd.DataFrame:
     """Add `p_best`: each method against the best of its grid and subset, corrected over pairs."""
     means = means.assign(p_best=np.nan)
-    for (grid, subset), block in means.groupby(["grid", "subset"], sort=False):
+    whole = means[means["unanswered"] == 0]
+    for (grid, subset), block in whole.groupby(["grid", "subset"], sort=False):
         best = block.loc[block[RANKED_BY].idxmin(), "method"]
         frames = one[(one["grid"] == grid) & (one["subset"] == subset)]
+        frames = frames[frames["method"].isin(block["method"])]
         pairs = compare_methods(frames, RANKED_BY, samples=0)
         p = pd.concat(
             [
@@ -214,31 +226,37 @@ def _with_significance(means: pd.DataFrame, one: pd.DataFrame) -> pd.DataFrame:
 def _costs(results: Sequence[RunResult]) -> pd.DataFrame:
     rows = []
     for result in results:
-        setup, speed, table = result.manifest.setup, result.speed, result.table
+        speed = result.speed
         row = {
-            "split": setup.split,
-            "protocol": setup.protocol,
+            "split": result.place,
+            "protocol": result.manifest.setup.protocol,
             "method": result.manifest.label,
-            "failed": int(table.loc[table[ERROR] != "", INDEX].nunique()),
+            "provenance": str(result.data.provenance),
         }
         if speed is not None:
-            names = ("frames_per_s", "parameters", "gmacs", "peak_memory_mib", "hardware")
-            row |= {name: getattr(speed, name) for name in names}
+            row |= {name: getattr(speed, name) for name in _COSTS}
         rows.append(row)
-    columns = ["split", "protocol", "method", "failed", "frames_per_s", "parameters", "gmacs"]
-    return pd.DataFrame(rows).reindex(columns=[*columns, "peak_memory_mib", "hardware"])
+    return pd.DataFrame(rows).reindex(
+        columns=["split", "protocol", "method", "provenance", *_COSTS]
+    )
 
 
-def _published(rows: pd.DataFrame) -> pd.DataFrame:
-    """Published rows for the measured splits and subsets, on the main grids of the protocols."""
+def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame:
+    """Published rows for the measured subsets, on the main grids of the protocols: only of data
+    sets whose frames are the published ones."""
     printed = published_depth()
     speeds = published_speed()
     parts = []
-    for split, protocol in rows[["split", "protocol"]].drop_duplicates().itertuples(index=False):
+    names = {r.place: r.manifest.setup.split for r in results if r.data.is_published}
+    for place, protocol in rows[["split", "protocol"]].drop_duplicates().itertuples(index=False):
+        if place not in names:
+            continue
         grid, _ = get_protocol(protocol).main
-        chosen = (rows["split"] == split) & (rows["protocol"] == protocol) & (rows["grid"] == grid)
+        chosen = (rows["split"] == place) & (rows["protocol"] == protocol) & (rows["grid"] == grid)
         subsets = set(rows.loc[chosen, "subset"])
-        part = printed[(printed["split"] == split) & printed["subset"].isin(subsets)]
-        parts.append(part.assign(protocol=protocol, grid=grid))
+        part = printed[(printed["split"] == names[place]) & printed["subset"].isin(subsets)]
+        parts.append(part.assign(split=place, protocol=protocol, grid=grid))
+    if not parts:
+        return pd.DataFrame()
     found = merge_equal(pd.concat(parts, ignore_index=True), OVER_ALL).assign(kind=PUBLISHED)
     return found.assign(frames_per_s=found["method"].map(speeds), hardware="NVIDIA RTX 3090")

@@ -7,7 +7,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from benchmark.evaluation.manifest import BOP_FILE, GRASP_MANIFEST, MANIFEST, POSE_MANIFEST
+from benchmark.evaluation.manifest import (
+    BOP_FILE,
+    DUMP_MANIFEST,
+    GRASP_MANIFEST,
+    MANIFEST,
+    POSE_MANIFEST,
+)
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.page import Block, Heading, Page, Paragraph, Section, Verdict
@@ -68,6 +74,7 @@ TASKS = (
     ReportTask(POSE_MANIFEST, "benchmark.report.parts.pose:pose_part"),
     ReportTask(BOP_FILE, "benchmark.report.parts.pose:bop_part"),
     ReportTask(GRASP_MANIFEST, "benchmark.report.parts.grasp:grasp_part"),
+    ReportTask(DUMP_MANIFEST, "benchmark.report.parts.grasp_dump:dump_part"),
 )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.data.frame import DepthFrame
+from benchmark.data.predictions import read_prediction
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import exr, images
@@ -107,11 +108,11 @@ def check_saved_depth(path: Path, folder: Path, frame: DepthFrame) -> None:
             path=path,
             hint="restore the views of --save-views under their names, and run the command again",
         )
-    header = exr.read_exr_header(path)
-    if (header.width, header.height) != frame.camera.size:
+    height, width = read_prediction(path).shape
+    if (width, height) != frame.camera.size:
         raise ToolkitError(
             "saved depth has another size than the view",
             path=path,
-            value=f"{header.width}x{header.height}",
+            value=f"{width}x{height}",
             hint="{}x{} is expected".format(*frame.camera.size),
         )

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmark.data.splits import FrameKey
+from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import BopConfig
 from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import Base, FramesRun
@@ -95,6 +95,7 @@ class BopRun(FramesRun[BopData, None]):
 
     manifest_name, table_name, unit = BOP_MANIFEST, ERRORS, "images"
     beside = (BOP_FILE,)
+    derived = (BOP_FILE,)
     data: Path
     split: str
     results: Path
@@ -161,6 +162,10 @@ class BopRun(FramesRun[BopData, None]):
             columns=_COLUMNS,
         )
         return BopManifest(setup=setup, root=str(self.data), **circumstances())
+
+    def inputs(self, data: BopData) -> Iterator[tuple[int, FrameKey, Inputs]]:
+        for index, (key, image) in enumerate(zip(data.keys(), data.images, strict=True)):
+            yield index, key, data.dataset.files(*image, data.scorer.objects(*image))
 
     def load(self, data: BopData, index: int) -> BopImage:
         return data.scorer.image(*data.images[index])

@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from benchmark.evaluation.known_data import names_of_data
 from benchmark.evaluation.manifest import BOP_FILE, Count, Name
-from benchmark.evaluation.results import INDEX, SCENE, read_table
+from benchmark.evaluation.results import INDEX, SCENE, read_known, read_table
 from benchmark.metrics.bop import (
     Detections,
     DetectionScores,
@@ -117,8 +118,10 @@ class BopFigures(BopResult, frozen=True, kw_only=True):
         intervals: ends of the 95 % interval by the name of the figure, such as `ar_vsd`; empty
             with one image, or for results without a table of errors.
         intervals_over: unit of resampling: "scenes", or "images" if there is one scene.
+        place: name of the data set on pages, another one for other content.
     """
 
+    place: str = ""
     intervals: dict[str, tuple[float, float]] = {}
     intervals_over: str = ""
 
@@ -238,7 +241,8 @@ def read_bop_run(folder: Path) -> BopFigures:
     path = folder / ERRORS
     intervals, over = bop_intervals(read_table(path)) if path.exists() else ({}, "")
     intervals = {k: v for k, v in intervals.items() if figures[k] is not None}
-    return BopFigures(**figures, intervals=intervals, intervals_over=over)
+    place = f"{Path(result.data).resolve().name}, {result.split}"
+    return BopFigures(**figures, place=place, intervals=intervals, intervals_over=over)
 
 
 def bop_intervals(table: pd.DataFrame) -> tuple[dict[str, tuple[float, float]], str]:
@@ -275,7 +279,10 @@ def read_bop_figures(folders: Iterable[Path]) -> list[BopFigures]:
         ToolkitError: a file is damaged.
     """
     paths = sorted(path for folder in folders for path in folder.rglob(BOP_FILE))
-    return [read_bop_run(path.parent) for path in dict.fromkeys(paths)]
+    places = [path.parent for path in dict.fromkeys(paths)]
+    every = [read_bop_run(place) for place in places]
+    names = names_of_data([r.place for r in every], [read_known(place) for place in places])
+    return [msgspec.structs.replace(r, place=name) for r, name in zip(every, names, strict=True)]
 
 
 def bop_table(results: Sequence[BopResult]) -> str:
@@ -285,7 +292,7 @@ def bop_table(results: Sequence[BopResult]) -> str:
     for r in results:
         shares = [_percent(x) for x in (r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd, r.ap)]
         seconds = "" if r.seconds_per_image is None else f"{r.seconds_per_image:.2f}"
-        data = f"{Path(r.data).name}, {r.split}"
+        data = getattr(r, "place", "") or f"{Path(r.data).name}, {r.split}"
         lines.append([r.results, data, str(r.targets), *shares, seconds])
     tables = [text_table(heads, lines).terminal()]
     columns = ("object", "targets", "VSD", "MSSD", "MSPD", "instances", "AP MSSD", "AP MSPD")

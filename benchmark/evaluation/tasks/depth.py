@@ -12,26 +12,35 @@ from numpy.typing import NDArray
 from benchmark.data import splits
 from benchmark.data.dreds_std import LayoutScenes
 from benchmark.data.frame import DepthFrame
+from benchmark.data.predictions import (
+    DepthFolder,
+    WithSavedDepth,
+    check_predictions,
+    unit_of,
+)
 from benchmark.evaluation.config import DepthConfig, options_by_method
 from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
     Base,
     FrameRun,
     frame_options,
+    load_each,
     restore_views,
 )
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
 from benchmark.evaluation.probes import answer_figures, probe_color, probe_holes
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, TABLE, UNREAD
 from benchmark.evaluation.tasks import depth_results
+from benchmark.evaluation.values import checked_label
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
-from benchmark.methods.registry import make_restorer
-from benchmark.metrics.protocols.protocol import get_protocol
+from benchmark.methods.registry import make_restorer, restorers
+from benchmark.metrics.protocols.protocol import Protocol, get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.exr import write_exr
+from std_toolkit.log import logger
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,16 +50,19 @@ class Run(FrameRun[Restorer]):
     Attributes:
         protocol: name of the scoring protocol.
         save_depth: save the restored depth in the format of the data set.
-        depth_from: folder of depth saved this way; replaces the sensor depth.
+        depth_from: folder of predicted depth; replaces the sensor depth.
+        depth_unit: metres per number of its files; None: by their type.
         speed: also time the method.
         released_loader: batch size of the authors' loader, to read frames as it does; None for all
             frames with their ids.
     """
 
     manifest_name, table_name = MANIFEST, TABLE
+    derived = ("gallery/gallery.json",)
     protocol: str
     save_depth: bool = False
     depth_from: Path | None = None
+    depth_unit: float | None = None
     speed: bool = True
     released_loader: int | None = None
     probes: tuple[str, ...] = ()
@@ -69,22 +81,29 @@ class Run(FrameRun[Restorer]):
 
     @property
     def data_key(self) -> object:
-        return self.split, self.root, self.protocol
+        return self.split, self.root, self.protocol, self.depth_from
 
     def check_data(self) -> None:
-        self.check(self.open())
+        self._check_frames(self.open())
 
     def open(self) -> splits.DepthSource:
         source = super().open()
         if self.released_loader is not None and isinstance(source, LayoutScenes):
             source = replace(source, truncated_ids=True)
-        return source if self.depth_from is None else splits.WithSavedDepth(source, self.depth_from)
+        answers = self.answers(source)
+        return source if answers is None else WithSavedDepth(source, answers)
 
     def chosen(self, data: splits.DepthSource) -> list[int]:
         chosen = super().chosen(data)
         return chosen[: len(chosen) // (self.released_loader or 1) * (self.released_loader or 1)]
 
     def check(self, data: splits.DepthSource) -> None:
+        self._check_frames(data)
+        if isinstance(data, WithSavedDepth):
+            told = check_predictions(data, self.chosen(data))
+            logger.info("%s: %s of %s", self.title, told, data.answers.folder)
+
+    def _check_frames(self, data: splits.DepthSource) -> None:
         get_protocol(self.protocol)
         if not self.chosen(data):
             raise ToolkitError(
@@ -112,6 +131,7 @@ class Run(FrameRun[Restorer]):
             **self.setup(data, methods),
             protocol=self.protocol,
             depth_from="" if self.depth_from is None else str(self.depth_from.resolve()),
+            depth_unit=self.depth_unit or 0.0,
             released_loader=self.released_loader or 0,
             probes=sorted(self.probes),
         )
@@ -122,6 +142,11 @@ class Run(FrameRun[Restorer]):
             weights=str(self.options.weights or ""),
             **circumstances(),
         )
+
+    def answers(self, data: splits.DepthSource) -> DepthFolder | None:
+        if self.depth_from is None:
+            return None
+        return DepthFolder(self.depth_from, self.split, self.depth_unit, data.keys())
 
     def load(self, data: splits.DepthSource, index: int) -> DepthFrame:
         return data.load(index)
@@ -135,8 +160,8 @@ class Run(FrameRun[Restorer]):
         """Return the rows of the protocol for each frame.
 
         The first row of a frame has the figures of `benchmark.evaluation.probes`, too. A frame
-        that cannot be read has one row with a text in `error`. A frame at which the method failed
-        has that text in the rows of an empty prediction.
+        that cannot be read has one row with a text in `error`. A frame at which the method failed,
+        or for which there is no saved depth, has that text in the rows of an empty prediction.
         """
         protocol = get_protocol(self.protocol)
         views = {
@@ -149,7 +174,8 @@ class Run(FrameRun[Restorer]):
         rows: list[dict[str, Any]] = []
         for base, frame in frames:
             if isinstance(frame, str):
-                rows.append({**base, ERROR: frame, **UNREAD})
+                found = _unanswered(data, base[INDEX], methods, frame, protocol)
+                rows += [base | {ERROR: frame} | row for row in found]
                 continue
             answer = answers[base[INDEX]]
             error, depth = (answer, None) if isinstance(answer, str) else ("", answer.depth)
@@ -176,7 +202,7 @@ class Run(FrameRun[Restorer]):
         for index, frame in frames.items():
             # Saved depth took the place of the sensor's, which it may have harmed.
             sensor = frame.depth_raw
-            if isinstance(data, splits.WithSavedDepth):
+            if isinstance(data, WithSavedDepth):
                 sensor = data.source.load(index).depth_raw
             found[index] = answer_figures(restorer, frame, sensor, answers[index], protocol)
 
@@ -211,7 +237,7 @@ class Run(FrameRun[Restorer]):
         return depth_results.read_run(self.folder)
 
 
-_OF_CONFIG = ("save_depth", "depth_from", "speed", "released_loader", "probes")
+_OF_CONFIG = ("save_depth", "speed", "released_loader", "probes")
 
 
 def plan_runs(config: DepthConfig) -> list[Run]:
@@ -219,17 +245,75 @@ def plan_runs(config: DepthConfig) -> list[Run]:
 
     Raises:
         ToolkitError: weights or settings for a method that is not requested, a split without
-            data, or a label that cannot be the name of a folder.
+            data, two methods of one name, no unit, or a label that cannot be the name of a folder.
     """
-    options = options_by_method(config, config.methods)
-    return [
-        Run(
-            **frame_options(config, split, method, options),
-            **{name: getattr(config, name) for name in _OF_CONFIG},
-            protocol=protocol,
+    folders = folders_by_name(config.methods)
+    if folders and (config.probes or config.depth_from is not None):
+        option = "--probe" if config.probes else "--depth-from"
+        raise ToolkitError(
+            "needs methods that run, and these are predictions in a folder",
+            field=option,
+            value=next(iter(folders)),
         )
-        for method, split, protocol in product(config.methods, config.splits, config.protocols)
-    ]
+    names = list(dict.fromkeys("raw" if m in folders else m for m in config.methods))
+    options = options_by_method(config, names)
+    units = units_by_name(config.depth_units, [name for name, _ in folders.values()])
+    runs = []
+    for method, split, protocol in product(config.methods, config.splits, config.protocols):
+        name, folder = folders.get(method, ("", config.depth_from))
+        known = frame_options(config, split, "raw" if name else method, options)
+        known |= {k: getattr(config, k) for k in _OF_CONFIG}
+        if name:  # nothing is timed where only files are read
+            known |= {"label": name, "speed": False}
+        unit = units.get(name)
+        runs.append(Run(**known, protocol=protocol, depth_from=folder, depth_unit=unit))
+    if len({run.folder for run in runs}) < len(runs):
+        labels = [run.label for run in runs]
+        twice = next(
+            x for x in labels if labels.count(x) > len(config.splits) * len(config.protocols)
+        )
+        raise ToolkitError("two methods have this name", field="--method", value=twice)
+    return runs
+
+
+def folders_by_name(methods: Sequence[str]) -> dict[str, tuple[str, Path]]:
+    """Return name and folder of each method that is NAME=DIR, by its text.
+
+    Raises:
+        ToolkitError: the name of another method, or one that cannot be the name of a folder.
+    """
+    found = {}
+    for text in methods:
+        name, equals, folder = text.partition("=")
+        if not equals or ":" in name:
+            continue
+        if name in restorers.names():
+            raise ToolkitError(
+                "predictions in a folder need a name of their own", field="--method", value=text
+            )
+        found[text] = (checked_label(name), Path(folder))
+    return found
+
+
+def units_by_name(texts: Sequence[str], names: Sequence[str]) -> dict[str, float]:
+    """Return metres per number by name of the predictions; "" is that of `--depth-from`.
+
+    Args:
+        texts: `NAME=UNIT`, or `UNIT` for all.
+        names: of all predictions in folders.
+
+    Raises:
+        ToolkitError: no unit, or the name of none of them.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        name, equals, unit = text.rpartition("=")
+        if equals and name not in names:
+            raise ToolkitError(
+                "names no predictions", field="--depth-unit", value=text, hint=", ".join(names)
+            )
+        found |= dict.fromkeys([name] if equals else ["", *names], unit_of(unit))
+    return found
 
 
 TASK = Task(
@@ -242,6 +326,21 @@ TASK = Task(
 def _read(frames: Sequence[tuple[Base, DepthFrame | str]]) -> list[DepthFrame]:
     """The frames that could be read."""
     return [frame for _, frame in frames if not isinstance(frame, str)]
+
+
+def _unanswered(
+    data: splits.DepthSource, index: int, restorer: Restorer, error: str, protocol: Protocol
+) -> list[dict[str, Any]]:
+    """Rows of a frame that could not be read: if only its saved depth is at fault, those of an
+    empty prediction."""
+    if not isinstance(data, WithSavedDepth):
+        return [UNREAD]
+    frame = load_each(data.source.load, [index])[0]
+    if isinstance(frame, str):
+        return [UNREAD]
+    rows = [{NOT_FINITE: 0} | row.as_dict() for row in score_frame(None, frame, protocol)]
+    rows[0] |= answer_figures(restorer, frame, frame.depth_raw, error, protocol)
+    return rows
 
 
 def _not_finite(depth: NDArray[np.float32] | None) -> int:

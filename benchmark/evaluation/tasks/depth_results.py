@@ -12,12 +12,14 @@ from benchmark.evaluation import probes
 from benchmark.evaluation.manifest import MANIFEST, Manifest
 from benchmark.evaluation.results import (
     ERROR,
+    FAILED,
     INDEX,
     SCENE,
     TABLE,
     Result,
     check_columns,
     find_runs,
+    read_known,
     read_table,
 )
 from benchmark.evaluation.tasks.depth_speed import SPEED, Speed
@@ -39,6 +41,8 @@ _SUBSETS = ("all", "specular+transparent")
 
 OVER_ANSWERED = tuple(f"{name}_answered" for name in NAMES)
 
+_ALL = frozenset((*OVER_ALL, *OVER_ANSWERED))
+
 
 def summarise(
     rows: pd.DataFrame, *, by: Sequence[str] | None = None, samples: int = 0, seed: int = 0
@@ -46,7 +50,8 @@ def summarise(
     """Compute unweighted means over frames.
 
     A frame without pixels to compare in a subset is excluded from the means of that subset. A
-    frame without any usable prediction is included in all means except those of `..._answered`.
+    frame without any usable prediction is included in all means except those of `..._answered`. A
+    method that failed at every frame has no figures: NaN.
 
     Args:
         rows: a row for each frame, grid and subset with the columns of `Row.as_dict`, and columns
@@ -58,6 +63,7 @@ def summarise(
 
     Returns:
         A row for each group in the order of first appearance: the columns `by`; `frames` included;
+        `failed` of them, if rows tell errors;
         `frames_empty` without pixels; `frames_unanswered` without a usable prediction among those
         included; `scenes` if rows have them; `pixels`; the means of `OVER_ALL` and
         `OVER_ANSWERED`; with `samples`, `NAME_low` and `NAME_high` of `OVER_ALL`.
@@ -99,6 +105,13 @@ def summarise(
                 out[name] = total / n
     if samples:
         _add_intervals(out, rows[there], group[there], samples, seed)
+    if ERROR in rows:
+        wrong = there & (rows[ERROR] != "").to_numpy()
+        out["failed"] = np.bincount(group[wrong], minlength=n_groups)
+        nowhere = (out["failed"] == out["frames"]) & (out["frames"] > 0)
+        out.loc[
+            nowhere, [c for c in out if c.removesuffix("_low").removesuffix("_high") in _ALL]
+        ] = np.nan
     return out
 
 
@@ -155,8 +168,8 @@ class RunResult(Result[Manifest]):
 
     @property
     def title(self) -> str:
-        setup = self.manifest.setup
-        return f"{self.manifest.label} on {setup.split} by {setup.protocol}"
+        protocol = self.manifest.setup.protocol
+        return f"{self.manifest.label} on {self.place or self.named} by {protocol}"
 
 
 def read_run(folder: Path) -> RunResult:
@@ -180,9 +193,15 @@ def read_run(folder: Path) -> RunResult:
     ):
         table.insert(place, column, value)
     speed = folder / SPEED
-    return RunResult(
-        folder, manifest, table, read_document(speed, Speed) if speed.exists() else None
+    known = read_known(folder)
+    result = RunResult(
+        folder,
+        manifest,
+        table,
+        read_document(speed, Speed) if speed.exists() else None,
+        data=known,
     )
+    return result.at(result.named)
 
 
 def read_results(folders: Iterable[Path]) -> list[RunResult]:
@@ -250,4 +269,7 @@ def _text_table(means: pd.DataFrame, names: list[str], columns: Sequence[Column]
     for column in columns:
         heading = f"{column.heading.replace('δ', 'd')} {column.unit}".rstrip()
         shown[heading] = [column.text(value) or "-" for value in means[column.name]]
+    if columns and "failed" in means:
+        nowhere = (means["failed"] > 0) & (means["failed"] == means["frames"])
+        shown.loc[nowhere.to_numpy(), shown.columns[len(names)]] = FAILED
     return text_table(list(shown.columns), shown.to_numpy().tolist()).terminal()

@@ -1,6 +1,7 @@
 """Speed, size and memory of a method, measured after warm-up on a frame of its split."""
 
 import multiprocessing
+import os
 import resource
 import statistics
 import sys
@@ -47,6 +48,10 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         peak_memory_mib: peak memory, MiB: on a GPU that allocated by torch, otherwise the resident
             memory of the process, with libraries and data.
         hardware: processor or GPU.
+        processor_s: processor time per frame over all cores, which other programs hardly change;
+            None in results of earlier versions.
+        load: other work on the machine: the mean number of running programs of the last minute,
+            before the measurement; None where the system does not tell.
     """
 
     frames_per_s: NotNegative
@@ -58,6 +63,8 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     gmacs: NotNegative | None
     peak_memory_mib: NotNegative
     hardware: str
+    processor_s: float | None = None
+    load: float | None = None
 
 
 def measure_speed(
@@ -65,6 +72,7 @@ def measure_speed(
 ) -> Speed:
     """Time a method on a batch of views: `repeats` times, fewer for slow methods."""
     device = _gpu(restorer)
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     for _ in range(WARM_UP):
         restorer.restore(views)
     if device is not None:
@@ -72,12 +80,14 @@ def measure_speed(
 
         torch.cuda.reset_peak_memory_stats(device)
     seconds: list[float] = []
+    processor: list[float] = []
     end = time.perf_counter() + LONGEST_S
     while len(seconds) < repeats and (len(seconds) < FEWEST or time.perf_counter() < end):
-        begin = time.perf_counter()
+        begin, worked = time.perf_counter(), time.process_time()
         # The outputs are NumPy arrays, so a GPU has finished when the call returns.
         restorer.restore(views)
         seconds.append(time.perf_counter() - begin)
+        processor.append(time.process_time() - worked)
     height, width = views[0].depth.shape
     return Speed(
         frames_per_s=len(views) / statistics.median(seconds),
@@ -89,6 +99,8 @@ def measure_speed(
         gmacs=_gmacs(restorer, views[0]),
         peak_memory_mib=_peak_memory(device),
         hardware=hardware,
+        processor_s=statistics.median(processor) / len(views),
+        load=load,
     )
 
 

@@ -7,7 +7,7 @@ grasps.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,8 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from benchmark.data.splits import FrameKey
+from benchmark.data.identity import SAVED_GRASPS
+from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import GraspConfig
 from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.frames import error_line
@@ -28,6 +29,8 @@ from benchmark.evaluation.results import (
     SCENE,
     Result,
     check_columns,
+    find_runs,
+    read_known,
     read_table,
     write_part,
 )
@@ -79,14 +82,18 @@ class GraspNetData:
             )
         self.judged = cache(self._judged)
 
+    def mesh_paths(self, number: int) -> list[Path]:
+        """Files of a model, which need not exist."""
+        folder = self._root / "models" / f"{number:03d}"
+        return [folder / name for name in ("nontextured.ply", "textured.obj")]
+
     def _judged(self, number: int) -> JudgedObject:
         """A model: its mesh for contacts; the vertices of its scan for collisions, as there."""
         from std_toolkit.geometry.mesh import load_mesh
 
-        folder = self._root / "models" / f"{number:03d}"
-        paths = [folder / name for name in ("nontextured.ply", "textured.obj")]
-        there = [path for path in paths if path.is_file()]
+        there = [path for path in self.mesh_paths(number) if path.is_file()]
         if not there:
+            folder = self._root / "models" / f"{number:03d}"
             raise ToolkitError("no mesh of the model", path=folder)
         points, mesh = load_mesh(there[0]), load_mesh(there[-1])
         return JudgedObject(
@@ -150,6 +157,26 @@ class DumpRun(TaskRun[GraspNetData, None]):
             **circumstances(),
         )
 
+    def frames_there(self, data: GraspNetData) -> int:
+        return len(data.images)
+
+    def inputs(self, data: GraspNetData) -> Iterator[tuple[int, FrameKey, Inputs]]:
+        for index, key in enumerate(data.images):
+            folder = self.data / "scenes" / f"scene_{key.scene:04d}" / key.camera
+            found = {
+                SAVED_GRASPS: key.path(self.dump),
+                "annotation": folder / "annotations" / f"{key.frame:04d}.xml",
+                "camera pose": folder / "camera_poses.npy",
+                "table": folder / "cam0_wrt_table.npy",
+            }
+            try:
+                models = {p.model for p in data.scenes.placed(key.scene, image=key.frame)}
+            except ToolkitError:  # scoring says what is wrong
+                models = set()
+            for number in sorted(models):
+                found |= {f"{p.name} of {number}": p for p in data.mesh_paths(number)}
+            yield index, FrameKey(f"scene_{key.scene:04d}", f"{key.frame:04d}"), found
+
     def items(self, data: GraspNetData, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
         return [i for i in range(len(data.images)) if i not in done]
 
@@ -163,6 +190,12 @@ class DumpRun(TaskRun[GraspNetData, None]):
         row |= dict.fromkeys(_COLUMNS, np.nan) | {"grasps": -1}
         try:
             grasps = read_grasps(key.path(self.dump))
+        except ToolkitError as error:
+            # Without an answer nothing is precise.
+            row |= {ERROR: error_line(error), **dict.fromkeys(_COLUMNS, 0.0)}
+            write_part(self.folder, item, item, [row])
+            return 1
+        try:
             T_cam_table = data.scenes.camera_pose(key.scene, image=key.frame).inverse()
             placed = data.scenes.placed(key.scene, image=key.frame)
             judged = judge_grasps(
@@ -189,7 +222,8 @@ class DumpFigures(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         label, camera, contacts: what was scored, and how.
-        images: number of scored images.
+        images: number of scored images, of which those without grasps count 0.
+        unanswered: images without grasps, or that could not be read.
         ap, ap08, ap04: over all images.
         seen, similar, novel: AP over the images of each part; absent without any.
     """
@@ -201,6 +235,7 @@ class DumpFigures(msgspec.Struct, frozen=True, kw_only=True):
     ap: tuple[float, float, float]
     ap08: tuple[float, float, float]
     ap04: tuple[float, float, float]
+    unanswered: int = 0
     seen: tuple[float, float, float] | None = None
     similar: tuple[float, float, float] | None = None
     novel: tuple[float, float, float] | None = None
@@ -213,12 +248,13 @@ class DumpResult(Result[DumpManifest]):
     @property
     def title(self) -> str:
         s = self.manifest.setup
-        return f"{self.manifest.label} on GraspNet's {s.split}, {s.camera}, {s.contacts} contacts"
+        place = self.place or s.split
+        return f"{self.manifest.label} on GraspNet's {place}, {s.camera}, {s.contacts} contacts"
 
     @property
     def figures(self) -> DumpFigures:
         """Means and intervals."""
-        good = self.table[self.table[ERROR] == ""]
+        good = self.table[self.table[_COLUMNS[0]].notna()]
         ap = 100 * good[list(_COLUMNS)].mean(axis=1)
         scenes = good[SCENE]
         number = scenes.str[-4:].astype(int)
@@ -233,6 +269,7 @@ class DumpResult(Result[DumpManifest]):
             camera=setup.camera,
             contacts=setup.contacts,
             images=len(good),
+            unanswered=self.failed + self.missing,
             ap=_mean(ap, scenes),
             ap08=_mean(100 * good["precision_0.8"], scenes),
             ap04=_mean(100 * good["precision_0.4"], scenes),
@@ -257,7 +294,16 @@ def read_dump_run(folder: Path) -> DumpResult:
     check_columns(table, (INDEX, SCENE, FRAME, ERROR, *_COLUMNS), path)
     if not (table[ERROR] == "").any():
         raise ToolkitError("no image could be scored", path=path, value=table[ERROR].iloc[0])
-    return DumpResult(folder, manifest, table)
+    return DumpResult(folder, manifest, table, data=read_known(folder))
+
+
+def read_dump_results(folders: Iterable[Path]) -> list[DumpResult]:
+    """Read all dumps below some folders of results.
+
+    Raises:
+        ToolkitError: a folder has none, or two have the same name.
+    """
+    return find_runs(folders, DUMP_MANIFEST, PRECISIONS, read_dump_run)
 
 
 def plan_dump(dump: Path, config: GraspConfig) -> list[DumpRun]:
@@ -287,7 +333,8 @@ def dump_table(results: Iterable[DumpResult]) -> str:
     for result in results:
         f = result.figures
         shares = (f.ap, f.ap08, f.ap04, f.seen, f.similar, f.novel)
-        rows.append([f.label, f.camera, f.contacts, str(f.images), *map(_percent, shares)])
+        images = f"{f.images} ({f.unanswered} unanswered)" if f.unanswered else str(f.images)
+        rows.append([f.label, f.camera, f.contacts, images, *map(_percent, shares)])
     title = f"GraspNet's average precision in percent, best {TOP} grasps"
     return text_table(HEADINGS, rows, title=title).terminal()
 

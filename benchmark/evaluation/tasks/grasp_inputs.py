@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from benchmark.data.frame import DepthFrame
 from benchmark.data.splits import FrameKey
-from benchmark.evaluation.depth_choice import DepthChoice, DepthProvider, find_saved_depth
+from benchmark.evaluation.depth_choice import DepthChoice, DepthProvider
 from benchmark.methods.protocol import GraspView
 from benchmark.methods.registry import MethodOptions, make_planner
 from benchmark.metrics.grasp.grasp import Grasps
@@ -69,9 +69,9 @@ class Methods:
         Raises:
             ToolkitError: the restorer fails, or there is no saved depth of this view.
         """
-        if (folder := self.depths.choice.folder) is not None:
-            key = FrameKey(frame.scene, frame.name)
-            check_saved_depth(find_saved_depth(folder, TABLE_SPLIT, key), folder, frame)
+        if (answers := self.depths.answers) is not None:
+            path = answers.path(FrameKey(frame.scene, frame.name))
+            check_saved_depth(path, answers.folder, frame)
         answer = self.depths.depths({0: frame})[0]
         if isinstance(answer, str):
             raise ToolkitError(f"there is no depth to plan on: {answer}")

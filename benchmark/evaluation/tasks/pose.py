@@ -10,10 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, resize_nearest
+from benchmark.data.predictions import DepthFolder
 from benchmark.data.splits import DepthSource
 from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
 from benchmark.evaluation.config import PoseConfig, options_by_method
-from benchmark.evaluation.depth_choice import RAW, DepthChoice, DepthProvider, depth_choice
+from benchmark.evaluation.depth_choice import (
+    RAW,
+    DepthChoice,
+    DepthProvider,
+    depth_choice,
+)
 from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
     Base,
@@ -112,6 +118,8 @@ class PoseRun(FrameRun[Methods]):
     """
 
     manifest_name, table_name = POSE_MANIFEST, pose_table.POSES
+    derived = ("gallery/pictures.json",)
+    needs_nocs = True
     depth: DepthChoice
     fit: str = "ransac"
     as_input: bool = False
@@ -170,6 +178,10 @@ class PoseRun(FrameRun[Methods]):
             depth_weights=str(self.depth.options.weights or ""),
             **circumstances(),
         )
+
+    def answers(self, data: DepthSource) -> DepthFolder | None:
+        folder = self.depth.folder
+        return None if folder is None else DepthFolder(folder, self.split, keys=data.keys())
 
     def load(self, data: DepthSource, index: int) -> PoseFrame:
         return load_pose_frame(data, index)

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from benchmark.data.frame import Material
 from benchmark.evaluation.config import FITS
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest
-from benchmark.evaluation.results import ERROR, INDEX, Result, check_columns, find_runs, read_table
+from benchmark.evaluation.results import (
+    FAILED,
+    Result,
+    check_columns,
+    find_runs,
+    read_known,
+    read_table,
+)
 from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
 from benchmark.metrics.pose import (
     BoxIoU,
@@ -97,7 +104,8 @@ class PoseResult(Result[PoseManifest]):
 
     @property
     def split(self) -> str:
-        return self.manifest.setup.split
+        """Name of the data set on pages."""
+        return self.place or self.named
 
     @property
     def name(self) -> RunName:
@@ -113,11 +121,6 @@ class PoseResult(Result[PoseManifest]):
         """Whether the method receives ground truth, and is a bound and no competitor."""
         return self.manifest.setup.given_truth
 
-    @property
-    def failed(self) -> int:
-        """Number of frames that could not be read, or at which the method failed."""
-        return int(self.table.loc[self.table[ERROR] != "", INDEX].nunique())
-
 
 def read_pose_run(folder: Path) -> PoseResult:
     """Read the results of one run.
@@ -129,7 +132,7 @@ def read_pose_run(folder: Path) -> PoseResult:
     check_known(manifest.fit, FITS, "not a fit of poses", path=folder / POSE_MANIFEST, field="fit")
     table = read_table(folder / POSES)
     check_columns(table, COLUMNS, folder / POSES)
-    return PoseResult(folder, manifest, table)
+    return PoseResult(folder, manifest, table, data=read_known(folder))
 
 
 def read_pose_results(folders: Iterable[Path]) -> list[PoseResult]:
@@ -173,6 +176,12 @@ class Scored:
     def scene_count(self) -> int:
         """Number of scenes with frames."""
         return len(np.unique(self.scenes))
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Means over classes; NaN where the method failed at every frame."""
+        nowhere = self.result.failed_everywhere
+        return {c: float("nan" if nowhere else v) for c, v in self.scores.mean.items()}
 
     def interval(self, column: str) -> tuple[float, float]:
         """Return the ends of the interval of a column."""
@@ -258,7 +267,7 @@ def pose_records(
             "protocol": protocol.name,
             **dict(zip(_TEXTS, (*scored.result.name, scored.subset), strict=True)),
             "true": scored.objects,
-            **{column: float(scored.scores.mean[column]) for column in protocol.columns},
+            **{column: scored.figures[column] for column in protocol.columns},
         }
         for split in dict.fromkeys(result.split for result in results)
         for protocol in protocols
@@ -269,8 +278,10 @@ def pose_records(
 def _table(scored: Sequence[Scored], protocol: PoseProtocol) -> str:
     lines = []
     for each in scored:
-        figures = each.scores.mean
+        figures = each.figures
         numbers = [f"{100 * figures[c]:.1f}" for c in protocol.columns]
+        if each.result.failed_everywhere:
+            numbers = [FAILED, *("-" for _ in numbers[1:])]
         lines.append([*each.result.name, each.subset, str(each.objects), *numbers])
     heads = [*_TEXTS, "true", *map(heading, protocol.columns)]
     return text_table(heads, lines, texts=len(_TEXTS)).terminal()

@@ -251,6 +251,8 @@ class CompactDR(NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = CompactDRConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of("compactdr", PRESETS, CompactDRNetwork, options)
         super().__init__(network, options, self.config.input_size)

@@ -215,7 +215,7 @@ class ReleasedDFNetwork(nn.Module):
             features = self.get_submodule(f"{name}_conv")(features)
             features = self.get_submodule(name)(torch.cat([features, own], dim=1))
             features = self.get_submodule(f"{name}_duc")(features)
-        restored = precisely(self.final, features).clamp(min=0)
+        restored = precisely(self.final, features)  # negative ones, too, as there
         return Prediction(restored[..., :h, :w])
 
     def _dense(self, name: str, features: Tensor, depth: Tensor) -> Tensor:
@@ -284,6 +284,8 @@ class DFNet(NetworkRestorer):
     Raises:
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
+
+    settings_type = DFNetConfig
 
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of("dfnet", PRESETS, dfnet_of, options)

@@ -317,6 +317,8 @@ class NLSPN(NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = NLSPNConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of(
             "nlspn", PRESETS, NLSPNetwork, options, ignored=_CONSTANTS

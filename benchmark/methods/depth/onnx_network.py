@@ -51,6 +51,8 @@ class OnnxNetwork:
             is missing, or a precision other than that of the file is asked for.
     """
 
+    settings_type = OnnxConfig
+
     needs_mask = False
 
     def __init__(self, options: MethodOptions) -> None:

@@ -211,6 +211,8 @@ class TwoBranch(network.NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = TwoBranchConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config, made = network.network_of("two-branch", PRESETS, TwoBranchNetwork, options)
         super().__init__(made, options, self.config.input_size)

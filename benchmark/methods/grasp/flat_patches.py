@@ -83,6 +83,8 @@ class FlatPatches:
         ToolkitError: a setting that it does not have or that cannot be.
     """
 
+    settings_type = FlatPatchSettings
+
     gripper_kind = "suction"
 
     def __init__(self, options: MethodOptions | None = None) -> None:

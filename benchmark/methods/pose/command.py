@@ -96,6 +96,8 @@ class CommandMethod:
         ToolkitError: no program, no models, an unknown setting, or models without a class.
     """
 
+    settings_type = CommandConfig
+
     input_size: tuple[int, int] | None = None
     needs_truth = False
 

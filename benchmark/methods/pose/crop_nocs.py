@@ -214,6 +214,8 @@ class CropNOCS(CropEstimator):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = CropNOCSConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self._own, self._network = network_of("crop-nocs", PRESETS, CropNOCSNetwork, options)
         if self._own.offsets and len(self._own.offsets) != len(self._own.categories):

@@ -36,6 +36,8 @@ class GroundTruthConfig(FitSettings):
 class GroundTruthNOCS:
     """True masks and coordinates, poses fitted to the depth asked for: what depth alone decides."""
 
+    settings_type = GroundTruthConfig
+
     input_size: tuple[int, int] | None = None
     needs_truth = True
 

@@ -270,6 +270,8 @@ class SGPA(CropEstimator):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = SGPAConfig
+
     def __init__(self, options: MethodOptions) -> None:
         _, network = network_of("sgpa", PRESETS, SGPANetwork, options, renamed=sgpa_state)
         super().__init__(network, options)

@@ -310,6 +310,8 @@ class SPD(CropEstimator):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = SPDConfig
+
     def __init__(self, options: MethodOptions) -> None:
         _, network = network_of("spd", PRESETS, SPDNetwork, options, renamed=spd_state)
         super().__init__(network, options)

@@ -1,5 +1,6 @@
 """A BOP data set: true poses, cameras, depth and models."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.metrics.bop.bop_distances import Project, fisheye624, pinhole
-from benchmark.metrics.bop.bop_model import BopModel, read_model
+from benchmark.metrics.bop.bop_model import BopModel, model_paths, read_model
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.importers import bop_documents, depth_files
@@ -208,10 +209,26 @@ class BopDataset:
         camera = read_document(path, _GlobalCamera)
         return camera.width, camera.height
 
-    def _depth(self, scene_id: int, im_id: int, size: tuple[int, int]) -> NDArray[np.float32]:
+    def files(self, scene_id: int, im_id: int, objects: Iterable[int]) -> dict[str, Path]:
+        """Files that the truth of an image and of these objects comes from, by their names.
+
+        Args:
+            scene_id, im_id: of the image.
+            objects: numbers of the objects.
+        """
+        paths = [self.file(scene_id, name) for name in ("gt", "gt_info", "camera")]
+        paths += sorted(self.root.glob(f"{self.split.partition('_')[0]}_targets_bop*.json"))
+        models = model_paths(self.root, objects)
+        found = {path.name: path for path in (*paths, *models) if path.is_file()}
+        return found | {"depth": self._depth_file(scene_id, im_id)}
+
+    def _depth_file(self, scene_id: int, im_id: int) -> Path:
         path = self.pictures(scene_id, "depth") / f"{im_id:06d}.png"
-        if not path.is_file() and (tiff := path.with_suffix(".tif")).is_file():
-            path = tiff  # ITODD
+        tiff = path.with_suffix(".tif")  # ITODD
+        return tiff if not path.is_file() and tiff.is_file() else path
+
+    def _depth(self, scene_id: int, im_id: int, size: tuple[int, int]) -> NDArray[np.float32]:
+        path = self._depth_file(scene_id, im_id)
         if not path.is_file():
             raise ToolkitError("VSD needs the image's depth", path=path)
         return depth_files.read_foreign_depth(path, size=size).values.astype(np.float32)

@@ -1,5 +1,6 @@
 """Models of a BOP data set: vertices, diameter and symmetry; the mesh only for rendering."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -92,6 +93,12 @@ def read_model(root: Path, obj_id: int, *, symmetry_steps: int | None = None) ->
     given = None if info is None else info.diameter
     diameter = largest_distance(hull) if given is None else given * bop_documents.MM
     return BopModel(path, diameter, ModelDistances(vertices, hull, symmetry, symmetry_steps))
+
+
+def model_paths(root: Path, objects: Iterable[int]) -> list[Path]:
+    """Return the files that `read_model` reads for these objects, which need not exist."""
+    folder = root / ("models_eval" if (root / "models_eval").is_dir() else "models")
+    return [folder / "models_info.json", *(folder / f"obj_{number:06d}.ply" for number in objects)]
 
 
 def read_vertices(path: Path) -> NDArray[np.float64]:

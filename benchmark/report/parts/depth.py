@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmark.evaluation.depth_panels import PANELS, TRUST_PANEL
+from benchmark.evaluation.results import counted
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, Gallery
 from benchmark.evaluation.tasks.depth_results import RunResult, read_results
 from benchmark.report import leaderboard
@@ -89,7 +90,7 @@ def _breakdown(
     rows = board.rows[(board.rows["split"] == split) & (board.rows["protocol"] == protocol)]
     curve = depth_plots.depth_curves(rows, colors)
     if curve is not None:
-        of = leaderboard.frames_of(split, board.frames(split))
+        of = board.counted(split)
         blocks += [
             page.Heading(f"Error against depth: {of}"),
             page.Plot(f"depth-{split}-{protocol}", curve),
@@ -105,7 +106,7 @@ def _speed(board: leaderboard.Board, colors: dict[str, str]) -> list[page.Block]
     if not (known["kind"] == leaderboard.MEASURED).any():
         return []
     drawn = known
-    if leaderboard.is_fragment(split, board.frames(split)):
+    if " of " in board.counted(split):  # a part of the published frames
         drawn = known[known["kind"] != leaderboard.PUBLISHED]
     figure = depth_plots.speed_against_error(drawn, colors)
     return [depth_tables.cost_table(board, known, split, protocol), page.Plot("speed", figure)]
@@ -124,7 +125,7 @@ def _best_first(board: leaderboard.Board) -> list[RunResult]:
 
     def place_of(result: RunResult) -> int:
         setup = result.manifest.setup
-        return place.get((setup.split, setup.protocol, result.manifest.label), last)
+        return place.get((result.place, setup.protocol, result.manifest.label), last)
 
     return sorted(board.results, key=place_of)
 
@@ -143,7 +144,7 @@ def gallery(results: Sequence[RunResult]) -> list[page.Block]:
         setup = result.manifest.setup
         for p in pictures.pictures:
             if p.rank == "common":
-                key = (setup.split, setup.protocol, p.scene, p.frame)
+                key = (result.place, setup.protocol, p.scene, p.frame)
                 common.setdefault(key, []).append((result, p.picture, p.rmse))
     for (split, protocol, scene, frame), shown in common.items():
         strips = [
@@ -157,8 +158,8 @@ def gallery(results: Sequence[RunResult]) -> list[page.Block]:
         if not own:
             continue
         setup = result.manifest.setup
-        of = leaderboard.frames_of(setup.split, setup.frames)
-        title = f"{result.manifest.label} on {setup.split}, {setup.protocol}: {of}"
+        of = counted([result], setup.frames)
+        title = f"{result.manifest.label} on {result.place}, {setup.protocol}: {of}"
         panels = (*PANELS, TRUST_PANEL) if all(p.trust for p in own) else PANELS
         strips = [
             _strip(
@@ -208,8 +209,12 @@ def _summary(board: leaderboard.Board) -> str:
     found = []
     for split, protocol in board.boards:
         rows = board.main_rows(split, protocol)
-        best = rows[rows["kind"] == leaderboard.MEASURED].iloc[0]
-        of = leaderboard.frames_of(split, board.frames(split))
+        ranked = rows[leaderboard.is_ranked(rows)]
+        of = board.counted(split)
+        if ranked.empty:
+            found.append(f"none on {split} ({protocol}, {of}): no method answered every frame")
+            continue
+        best = ranked.iloc[0]
         rmse = depth_tables.RMSE.text(best["rmse"])
         found.append(f"{best['method']} on {split} ({rmse} mm, {protocol}, {of})")
     return "Lowest RMSE: " + "; ".join(found) + "."

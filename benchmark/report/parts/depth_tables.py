@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from benchmark.evaluation import probes
+from benchmark.evaluation.results import FAILED
 from benchmark.evaluation.tasks.depth_results import RunResult, seen_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report import leaderboard
@@ -22,13 +24,17 @@ CAUTION = (
     "Published rows come from the evaluation of the paper (`--protocol paper`), in which a missing "
     "pixel costs less: beside other protocols they show the order of magnitude."
 )
+LACKING = (
+    "Rows with unanswered frames are not ranked: where the method failed, or saved depth has no "
+    "file, every pixel counts as missing."
+)
 _COUNTS = (Column(heading="frames", digits=0), Column(heading="scenes", digits=0))
 _METHOD = Column(heading="method", numeric=False)
 
 
 def board_title(board: leaderboard.Board, split: str, protocol: str) -> str:
     """Return the title of a table, with the number of frames."""
-    return f"{split}, protocol {protocol}: {leaderboard.frames_of(split, board.frames(split))}"
+    return f"{split}, protocol {protocol}: {board.counted(split)}"
 
 
 def board_tables(
@@ -48,7 +54,10 @@ def board_tables(
         measured = rows[rows["kind"] == leaderboard.MEASURED]
         if measured.empty:
             continue
-        notes = [f"Bold: best measured. {_certainty(int(measured['scenes'].max()), len(measured))}"]
+        ranked = int(leaderboard.is_ranked(rows).sum())
+        notes = [f"Bold: best measured. {_certainty(int(measured['scenes'].max()), ranked)}"]
+        if ranked < len(measured):
+            notes.append(LACKING)
         if (
             protocol != leaderboard.PAPERS_PROTOCOL
             and (rows["kind"] == leaderboard.PUBLISHED).any()
@@ -93,7 +102,10 @@ def seen_tables(board: leaderboard.Board, split: str, protocol: str) -> list[Tab
 def cost_table(board: leaderboard.Board, rows: pd.DataFrame, split: str, protocol: str) -> Table:
     """Return the table of the cost and accuracy of methods."""
     title = board_title(board, split, protocol)
-    notes = ["Time of the method alone, without reading and scoring."]
+    notes = [
+        "Time of the method alone, without reading and scoring. Processor: time over all cores, "
+        "which other programs hardly change. Load: programs that ran in the minute before."
+    ]
     return _method_table(rows, (RMSE, *leaderboard.COSTS), title=title, notes=notes, hardware=True)
 
 
@@ -106,7 +118,7 @@ def breakdown_tables(board: leaderboard.Board, split: str, protocol: str) -> lis
     ]
     order = board.part(split, protocol, grid, first)
     methods = order.loc[order["kind"] == leaderboard.MEASURED, "method"].tolist()
-    of = leaderboard.frames_of(split, board.frames(split))
+    of = board.counted(split)
     tables = []
     for name, block in rows.groupby("grid", sort=False):
         wide = block.pivot(index="method", columns="subset", values=RMSE.name)
@@ -135,16 +147,16 @@ def run_table(results: Sequence[RunResult]) -> Table:
         how = [h for h in how if h] if network or settings else [settings]
         if s.released_loader:
             how.append(f"authors' loader, batches of {s.released_loader}")
-        failed = result.table.loc[result.table["error"] != "", "index"].nunique()
         cells = [
             Cell(text=m.label),
-            Cell(text=f"{s.split}, {s.protocol}"),
-            *counted(s.frames, result.missing, failed),
+            Cell(text=f"{result.place}, {s.protocol}"),
+            Cell(text=str(result.data.provenance)),
+            *counted(s.frames, result.missing, result.failed),
             Cell(text=", ".join(h for h in how if h)),
             *machine(s.weights_sha256[:12], m.hardware, m.version_of_tool),
         ]
         rows.append(Row(cells))
-    return Table(columns=run_columns("method", "split, protocol"), rows=rows)
+    return Table(columns=run_columns("method", "split, protocol", "data"), rows=rows)
 
 
 def run_columns(*names: str) -> list[Column]:
@@ -206,26 +218,29 @@ def _method_table(
     hardware: bool = False,
 ) -> Table:
     best = _best_figures(rows, columns)
-    methods = int((rows["kind"] == leaderboard.MEASURED).sum())
+    ranked = leaderboard.is_ranked(rows)
+    methods = int(ranked.sum())
     made = []
-    for row in rows.to_dict("records"):
+    for row, competes in zip(rows.to_dict("records"), ranked, strict=True):
         published = row["kind"] == leaderboard.PUBLISHED
         # The test does not apply to costs.
-        tested = counts and not published and can_differ(row["scenes"], methods)
+        tested = counts and competes and can_differ(row["scenes"], methods)
         alike = tested and row["p_best"] >= leaderboard.SIGNIFICANT
         note = f"published; {source_of(row)}" if published else "≈" if alike else ""
         cells = [Cell(text=row["method"], note=note)]
-        cells += [c.cell(row[c.heading]) for c in _COUNTS] if counts else []
+        cells += [frames_cell(row), _COUNTS[1].cell(row["scenes"])] if counts else []
         for column in columns:
             value = row[column.name]
             ends = [row.get(f"{column.name}_{end}", math.nan) for end in ("low", "high")]
-            is_best = not published and value == best.get(column.name)
+            is_best = competes and value == best.get(column.name)
+            nowhere = not published and column is columns[0] and row["failed"] == row["frames"]
             cells.append(
                 column.cell(
                     value,
                     interval=(ends[0], ends[1]),
                     published=published,
                     mark="best" if is_best else "",
+                    missing=FAILED if nowhere else "",
                 )
             )
         cells += [Cell(text=str(row["hardware"]))] if hardware else []
@@ -233,6 +248,14 @@ def _method_table(
     heads = [_METHOD, *(_COUNTS if counts else ()), *columns]
     heads += [Column(heading="on", numeric=False)] if hardware else []
     return Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
+
+
+def frames_cell(row: dict[str, object]) -> Cell:
+    """Return the cell with the number of frames of a row, and of those without an answer."""
+    cell = _COUNTS[0].cell(row["frames"])  # type: ignore[arg-type]
+    if not (row["kind"] == leaderboard.MEASURED and row["unanswered"]):
+        return cell
+    return replace(cell, text=f"{cell.text} ({row['unanswered']:.0f} unanswered)", mark="bad")
 
 
 def source_of(row: dict[str, object]) -> str:
@@ -244,8 +267,8 @@ def source_of(row: dict[str, object]) -> str:
 
 
 def _best_figures(rows: pd.DataFrame, columns: Sequence[Column]) -> dict[str, float]:
-    """The best measured figure of each column that has a direction."""
-    measured = rows[rows["kind"] == leaderboard.MEASURED]
+    """The best ranked figure of each column that has a direction."""
+    measured = rows[leaderboard.is_ranked(rows)]
     return {
         c.name: measured[c.name].min() if c.lower_is_better else measured[c.name].max()
         for c in columns
@@ -258,8 +281,8 @@ def _matrix(wide: pd.DataFrame, title: str, corner: str) -> Table:
     values = wide.to_numpy(float)
     axis = 1 if corner == "scene" else 0
     with np.errstate(all="ignore"):
-        low = np.nanmin(values, axis=axis, keepdims=True)
-        high = np.nanmax(values, axis=axis, keepdims=True)
+        low = np.fmin.reduce(values, axis=axis, keepdims=True)
+        high = np.fmax.reduce(values, axis=axis, keepdims=True)
         level = (np.log(values + 1e-4) - np.log(low + 1e-4)) / np.log((high + 1e-4) / (low + 1e-4))
     rows = []
     for name, line, shades in zip(wide.index, values, level, strict=True):

@@ -239,7 +239,10 @@ def _summary(board: pose_board.PoseBoard) -> str:
                 f"{pose_results.heading(pose_board.MAIN)})"
             )
     if not found:
-        return "All poses were fitted to true depth, or by methods that receive ground truth."
+        return (
+            "All poses were fitted to true depth, or by methods that receive ground truth, or lack "
+            "frames."
+        )
     return "Most poses right: " + "; ".join(found) + "."
 
 
@@ -249,20 +252,25 @@ _HEADINGS = ("AR", "VSD", "MSSD", "MSPD", "mAP", "AP MSSD", "AP MSPD")
 
 
 def summary(results: Sequence[BopFigures]) -> str:
-    """One sentence on the best file."""
+    """One sentence on the best file of each data set."""
     for figure, title in (("ar", "AR"), ("ap", "mAP"), ("ar_mssd", "AR of MSSD")):
-        known = [r for r in results if getattr(r, figure) is not None]
-        if known:
-            best = max(known, key=lambda r: getattr(r, figure))
-            value = 100 * getattr(best, figure)
-            return f"Highest {title}: {best.results}, {value:.1f} % on {_data(best)}."
+        found = []
+        for place in dict.fromkeys(r.place for r in results):
+            known = [r for r in results if r.place == place and getattr(r, figure) is not None]
+            if known:
+                best = max(known, key=lambda r: getattr(r, figure))
+                found.append(f"{best.results}, {100 * getattr(best, figure):.1f} % on {place}")
+        if found:
+            return f"Highest {title}: {'; '.join(found)}."
     return f"{len(results)} result files."
 
 
 def sections(results: Sequence[BopFigures], *, published: bool) -> list[Section]:
     """The table of the files, and the tables of their objects."""
-    found = [Section("bop", "Poses of known objects (BOP)", [_table(results, published=published)])]
-    objects = [_object_table(r.objects, f"{r.results} on {_data(r)}") for r in results if r.objects]
+    places = dict.fromkeys(r.place for r in results)
+    tables = [_table([r for r in results if r.place == p], published=published) for p in places]
+    found = [Section("bop", "Poses of known objects (BOP)", tables)]
+    objects = [_object_table(r.objects, f"{r.results} on {r.place}") for r in results if r.objects]
     if objects:
         found.append(Section("bop-objects", "Poses of known objects, by object", objects))
     return found
@@ -288,7 +296,7 @@ def _table(results: Sequence[BopFigures], *, published: bool) -> Table:
             c.cell(getattr(r, n), interval=r.intervals.get(n, (math.nan, math.nan)), missing=NONE)
             for c, n in zip(columns[2:], names, strict=True)
         ]
-        rows.append(Row([Cell(text=r.results), Cell(text=_data(r)), *cells]))
+        rows.append(Row([Cell(text=r.results), Cell(text=r.place), *cells]))
     notes = [
         "AR is the mean of the average recalls of VSD, MSSD and MSPD (BOP Challenge 2019 to 2023); "
         "mAP that of the average precisions of MSSD and MSPD in detection (2024)."
@@ -304,7 +312,11 @@ def _table(results: Sequence[BopFigures], *, published: bool) -> Table:
             name = Cell(text=row.method, note="published")
             rows.append(Row([name, Cell(text=f"{row.dataset}, test"), *cells]))
         sources = sorted(set(printed.loc[printed["dataset"].isin(data), "source"]))
-        notes += [f"Published: {'; '.join(sources)}."] if sources else []
+        if sources:
+            notes.append(
+                f"Published, over the whole data set: {'; '.join(sources)}. Whether the images "
+                "here are all of them is not checked."
+            )
     return Table(columns=columns, rows=rows, notes=notes, sortable=True)
 
 
@@ -328,7 +340,3 @@ def _object_table(objects: Sequence[BopObject], title: str) -> Table:
         for o in objects
     ]
     return Table(columns=columns, rows=rows, title=title, sortable=True)
-
-
-def _data(result: BopFigures) -> str:
-    return f"{Path(result.data).resolve().name}, {result.split}"

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from benchmark.evaluation.config import FITS
 from benchmark.evaluation.depth_choice import RAW, TRUE
+from benchmark.evaluation.results import counted, unanswered
 from benchmark.evaluation.tasks import pose_results
 from benchmark.metrics.pose import get_pose_protocol
 from benchmark.metrics.pose.resampling import resampled_scores, scene_weights, side_by_side
 from benchmark.published.load import published_poses
-from benchmark.report.leaderboard import MEASURED, PUBLISHED, merge_equal
+from benchmark.report.leaderboard import MEASURED, PUBLISHED, is_ranked, merge_equal
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Column
 
@@ -143,8 +144,9 @@ FIGURES = tuple(
 INTERVALS = tuple(f"{c.name}_{end}" for c in FIGURES for end in ("low", "high"))
 
 COLUMNS = (
-    "split", "protocol", "subset", "method", "depth", "fit", "kind", "objects", "frames", "scenes",
-    "failed", *(c.name for c in FIGURES), *INTERVALS, "training_data", "table",
+    "split", "protocol", "subset", "method", "depth", "fit", "kind", "provenance", "objects",
+    "frames", "scenes", "failed", "unanswered", *(c.name for c in FIGURES), *INTERVALS,
+    "training_data", "table",
 )  # fmt: skip
 
 
@@ -185,17 +187,16 @@ class PoseBoard:
         """Return the measured splits."""
         return list(dict.fromkeys(result.split for result in self.results))
 
-    def frames(self, split: str) -> int:
-        """Return the largest number of scored frames of the split over runs."""
-        mine = [r for r in self.results if r.split == split]
-        return max(r.manifest.setup.frames - r.missing for r in mine)
+    def counted(self, split: str) -> str:
+        """Return the largest number of scored frames over runs, and where they come from."""
+        return counted(r for r in self.results if r.split == split)
 
     def contests(self, rows: pd.DataFrame) -> list[bool]:
-        """Return whether each row of `part` competes: it is measured, without true depth, and by
-        a method that receives no ground truth."""
+        """Return whether each row of `part` competes: it is measured, with an answer to every
+        frame, without true depth, and by a method that receives no ground truth."""
         bounds = {(r.split, *r.name) for r in self.results if r.given_truth or r.name[1] == TRUE}
         names = rows[["split", "method", "depth", "fit"]].itertuples(index=False, name=None)
-        measured = rows["kind"] == MEASURED
+        measured = is_ranked(rows)
         return [bool(m) and n not in bounds for m, n in zip(measured, names, strict=True)]
 
     def part(self, split: str, protocol: str, subset: str) -> pd.DataFrame:
@@ -225,11 +226,12 @@ def make_pose_board(
     rows, details, compared = [], {}, {}
     for split in dict.fromkeys(result.split for result in ordered):
         mine = [result for result in ordered if result.split == split]
+        lacking = unanswered(mine)
         for name in PROTOCOLS:
             protocol = get_pose_protocol(name)
             for subset in TABLES:
                 scored = pose_results.score_runs(mine, protocol, (subset,), samples=samples)
-                rows += [_row(each, name) for each in scored]
+                rows += [_row(each, name, lacking[each.result.title]) for each in scored]
                 if name == PROTOCOLS[0]:
                     compared[split, subset] = _against_raw(scored, samples)
         first = get_pose_protocol(PROTOCOLS[0])
@@ -240,7 +242,7 @@ def make_pose_board(
         )
     board = pd.DataFrame(rows)
     if published:
-        board = pd.concat([board, _published(board)], ignore_index=True)
+        board = pd.concat([board, _published(board, ordered)], ignore_index=True)
     return PoseBoard(board.reindex(columns=list(COLUMNS)), details, compared, tuple(ordered))
 
 
@@ -250,7 +252,7 @@ def _place(result: pose_results.PoseResult) -> tuple[int, str]:
     return (0 if depth == RAW else 2 if depth == TRUE else 1, result.name[1])
 
 
-def _row(scored: pose_results.Scored, protocol: str) -> dict[str, object]:
+def _row(scored: pose_results.Scored, protocol: str, lacking: int) -> dict[str, object]:
     method, depth, fit = scored.result.name
     row: dict[str, object] = {
         "split": scored.result.split,
@@ -264,10 +266,13 @@ def _row(scored: pose_results.Scored, protocol: str) -> dict[str, object]:
         "frames": len(scored.scenes),
         "scenes": scored.scene_count,
         "failed": scored.result.failed,
+        "unanswered": lacking,
+        "provenance": str(scored.result.data.provenance),
     }
-    for column, value in scored.scores.mean.items():
+    for column, value in scored.figures.items():
         row[column] = value
-        row[f"{column}_low"], row[f"{column}_high"] = scored.interval(column)
+        ends = (np.nan, np.nan) if np.isnan(value) else scored.interval(column)
+        row[f"{column}_low"], row[f"{column}_high"] = ends
     return row
 
 
@@ -290,14 +295,19 @@ def _against_raw(scored: Sequence[pose_results.Scored], samples: int) -> list[Co
     return found
 
 
-def _published(board: pd.DataFrame) -> pd.DataFrame:
-    """Published rows for the measured splits and subsets, for every protocol."""
+def _published(board: pd.DataFrame, results: Sequence[pose_results.PoseResult]) -> pd.DataFrame:
+    """Published rows for the measured subsets and every protocol: only of data sets whose frames
+    are the published ones."""
     printed = published_poses()
     parts = []
-    for split, protocol, subset in (
+    names = {r.split: r.manifest.setup.split for r in results if r.data.is_published}
+    for place, protocol, subset in (
         board[["split", "protocol", "subset"]].drop_duplicates().itertuples(index=False)
     ):
-        part = printed[(printed["split"] == split) & (printed["subset"] == subset)]
-        parts.append(part.assign(protocol=protocol))
+        if place in names:
+            part = printed[(printed["split"] == names[place]) & (printed["subset"] == subset)]
+            parts.append(part.assign(split=place, protocol=protocol))
+    if not parts:
+        return pd.DataFrame()
     rows = merge_equal(pd.concat(parts, ignore_index=True), [c.name for c in FIGURES])
     return rows.assign(kind=PUBLISHED, depth="", fit="")

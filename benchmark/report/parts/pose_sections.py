@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 
 from benchmark.evaluation import depth_choice
+from benchmark.evaluation.results import FAILED
 from benchmark.evaluation.tasks import pose_pictures, pose_results
-from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED, frames_of
+from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED, is_ranked
 from benchmark.report.page import MOST_PICTURED, left_out
 from benchmark.report.parts import depth_tables
 from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, TABLES, PoseBoard
@@ -28,7 +30,7 @@ _CAUTION = (
 
 def pose_title(board: PoseBoard, split: str, protocol: str) -> str:
     """Return the title of a table, with the number of frames."""
-    return f"{split}, protocol {protocol}: {frames_of(split, board.frames(split))}"
+    return f"{split}, protocol {protocol}: {board.counted(split)}"
 
 
 def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
@@ -42,6 +44,8 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
         title = f"{pose_title(board, split, protocol)}, {depth_tables.OBJECTS[subset]}, poses right"
         scenes = int(measured["scenes"].max())
         notes = [f"Bold: best without any ground truth. {depth_tables.interval_note(scenes)}"]
+        if is_ranked(rows).sum() < len(measured):
+            notes.append(depth_tables.LACKING)
         if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
             notes.append(_CAUTION)
         contests = board.contests(rows)
@@ -53,19 +57,26 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
     return tables
 
 
-def _row(row: dict[str, object], best: pd.Series, *, contends: bool) -> Row:
+def _row(row: dict[str, Any], best: pd.Series, *, contends: bool) -> Row:
     published = row["kind"] == PUBLISHED
     note = f"published; {depth_tables.source_of(row)}" if published else ""
     cells = [Cell(text=str(row["method"]), note=note)]
     cells += [Cell(text=str(row[name])) for name in ("depth", "fit")]
-    cells += [c.cell(row[c.heading]) for c in _COUNTS]  # type: ignore[arg-type]
+    objects, scenes = (c.cell(row[c.heading]) for c in (_COUNTS[0], _COUNTS[2]))
+    cells += [objects, depth_tables.frames_cell(row), scenes]
+    nowhere = not published and row["failed"] == row["frames"]
     for column in FIGURES:
-        value: float = row[column.name]  # type: ignore[assignment]
+        value: float = row[column.name]
         low, high = (row.get(f"{column.name}_{end}", math.nan) for end in ("low", "high"))
         is_best = contends and value == best[column.name] and value > 0
-        mark = "best" if is_best else ""
         cells.append(
-            column.cell(value, interval=(low, high), published=published, mark=mark)  # type: ignore[arg-type]
+            column.cell(
+                value,
+                interval=(low, high),
+                published=published,
+                mark="best" if is_best else "",
+                missing=FAILED if nowhere and column is FIGURES[0] else "",
+            )
         )
     return Row(cells, "published" if published else "" if contends else "bound")
 
@@ -165,7 +176,7 @@ def pose_gallery(board: PoseBoard) -> list[page.Block]:
         for name, figures in frames.items():
             inside.append(page.Heading(name, 4))
             inside.append(page.Gallery(figures, abreast=max(2, min(len(figures), _ABREAST))))
-        of = frames_of(split, board.frames(split))
+        of = board.counted(split)
         blocks.append(page.Details(f"{method}, fit {fit}, on {split}: {of}", inside, number == 0))
     return blocks
 
@@ -180,13 +191,16 @@ def run_table(results: Sequence[pose_results.PoseResult]) -> Table:
         depth = [f"depth {s.depth_preset}"] if s.depth_preset else []
         weights = [w[:12] for w in (s.weights_sha256, s.depth_weights_sha256) if w]
         cells = [
-            *(Cell(text=text) for text in (m.label, m.depth_label, m.fit, s.split)),
+            *(Cell(text=text) for text in (m.label, m.depth_label, m.fit, result.split)),
+            Cell(text=str(result.data.provenance)),
             *depth_tables.counted(s.frames, result.missing, result.failed),
             Cell(text=", ".join([s.preset, *depth, *settings])),
             *depth_tables.machine(" ".join(weights), m.hardware, m.version_of_tool),
         ]
         rows.append(Row(cells))
-    return Table(columns=depth_tables.run_columns("method", "depth", "fit", "split"), rows=rows)
+    return Table(
+        columns=depth_tables.run_columns("method", "depth", "fit", "split", "data"), rows=rows
+    )
 
 
 def depth_colors(depths: list[str]) -> dict[str, str]:

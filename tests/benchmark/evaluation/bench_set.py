@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
+from benchmark.data import provenance
+from benchmark.data.splits import Published, get_split
 from benchmark.evaluation.tasks.depth import Run
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
@@ -23,6 +27,15 @@ def write_split(root: Path, scenes: int = 3, frames: int = 4) -> Path:
     for i in range(scenes):
         write_std_scene(root / "STD-CatKnown" / f"test_{i}", frames=frames, seed=i)
     return root
+
+
+@contextmanager
+def published_as(frames: int, scenes: int, name: str = SPLIT) -> Iterator[None]:
+    """Let so many frames and scenes of a split be those that were published."""
+    split = get_split(name)
+    small = replace(split, published=(Published("paper", frames, scenes),))
+    with patch.object(provenance, "get_split", lambda _: small):
+        yield
 
 
 def a_run(root: Path, out: Path, method: str = "nearest", **changes: object) -> Run:

@@ -10,6 +10,7 @@ import pytest
 
 from benchmark.cli.bench import main
 from benchmark.evaluation.tasks.depth_results import read_results
+from benchmark.report.page import make_parts
 from tests.benchmark.evaluation.bench_set import SPLIT, write_split
 
 HERE = "tests.benchmark.evaluation.bench_set"
@@ -61,6 +62,10 @@ def test_the_speed_is_measured(root: Path, tmp_path: Path) -> None:
     assert result.speed.frames_per_s > 1
     assert (result.speed.width, result.speed.height) == (64, 36)
     assert result.speed.parameters is None
+    assert result.speed.processor_s is not None and 0 < result.speed.processor_s < 1
+    assert result.speed.load is not None and result.speed.load >= 0
+    (part,) = make_parts([tmp_path])
+    assert "processor_s" in part.files["leaderboard.csv"].splitlines()[0]
 
 
 def test_frames_that_fail_end_with_another_status(root: Path, tmp_path: Path) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import fcntl
+import re
+import shlex
 from pathlib import Path
 
 import pytest
 
 from benchmark.evaluation import engine
-from benchmark.evaluation.config import DepthConfig
+from benchmark.evaluation.config import DepthConfig, PoseConfig
+from benchmark.evaluation.tasks import pose
 from benchmark.evaluation.tasks.depth import plan_runs
 from std_toolkit.errors import ToolkitError
 
@@ -60,6 +63,38 @@ def test_weights_and_settings_find_their_method() -> None:
     assert runs[-1].options.weights is None
     one = plan_runs(config(methods=("nlspn",), weights=("w.pth",), settings=("steps=3",)))[0]
     assert (one.options.weights, one.options.settings) == (Path("w.pth"), {"steps": "3"})
+
+
+def test_a_setting_goes_to_the_only_method_that_has_it() -> None:
+    runs = plan_runs(config(settings=("fusion=released",)))
+    assert [dict(run.options.settings) for run in runs[::2]] == [{"fusion": "released"}, {}]
+    with pytest.raises(ToolkitError, match=r"which method.*one of nearest, telea$"):
+        plan_runs(config(methods=("raw", "nearest", "telea"), settings=("grow_px=2",)))
+    with pytest.raises(ToolkitError, match=r"which method.*one of raw, nearest$"):
+        plan_runs(config(methods=("raw", "nearest"), settings=("nothing=2",)))
+
+
+def test_every_pose_command_of_the_guides_can_be_planned() -> None:
+    docs = Path(__file__).resolve().parents[3] / "docs"
+    planned = 0
+    for page in sorted(docs.glob("*.md")):
+        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        for line in re.findall(r"std-bench pose [^`\n]*", text):
+            words: dict[str, list[str]] = {}
+            for word in shlex.split(line.partition(" #")[0])[2:]:
+                if word.startswith("--"):
+                    given = words.setdefault(word, [])
+                else:
+                    given.append(word)
+            if "--method" not in words:
+                continue
+            names = {"methods": "--method", "settings": "--set", "weights": "--weights"}
+            names |= {"depths": "--depth"}
+            options = {k: tuple(words[o]) for k, o in names.items() if o in words}
+            made = PoseConfig(splits=("scenes",), data=("x",), out=Path("o"), **options)
+            assert pose.plan_runs(made), line
+            planned += 1
+    assert planned >= 5
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ import pytest
 
 from benchmark.cli.bench import main
 from benchmark.evaluation.engine import run_all
+from benchmark.evaluation.known_data import CONTENT_FILE, DATA_FILE
 from benchmark.evaluation.manifest import BOP_FILE, BOP_MANIFEST
 from benchmark.evaluation.results import FAILURES, PARTS
 from benchmark.evaluation.tasks.bop import BopRun
@@ -200,7 +201,7 @@ def test_a_folder_of_an_older_version_goes_on(root: Path, results: Path, tmp_pat
     run = run_of(root, results, tmp_path)
     assert not run_all([run], SERIAL).failed
     figures = (run.folder / BOP_FILE).read_bytes()
-    for name in (BOP_MANIFEST, ERRORS, FAILURES, SCORES_19, SCORES_24):
+    for name in (BOP_MANIFEST, ERRORS, FAILURES, SCORES_19, SCORES_24, DATA_FILE, CONTENT_FILE):
         (run.folder / name).unlink()
     (run.folder / PARTS).rmdir()
     old = read_bop_run(run.folder)

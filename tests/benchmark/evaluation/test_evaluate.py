@@ -118,7 +118,9 @@ def test_settings_go_to_their_method(root: Path, tmp_path: Path) -> None:
 def test_frames_that_fail_count_as_missing(root: Path) -> None:
     table = evaluate([WrongSize, HalfNaN], SPLIT, data=root)
     by_method = table[table["subset"] == "all"].set_index("method")
-    assert by_method["coverage"]["WrongSize"] == 0 < by_method["coverage"]["HalfNaN"] < 1
+    assert 0 < by_method["coverage"]["HalfNaN"] < 1
+    assert pd.isna(by_method["coverage"]["WrongSize"]), "failed everywhere: no figures"
+    assert by_method["failed"].to_dict() == {"WrongSize": 4, "HalfNaN": 0}
     assert by_method["frames_unanswered"]["WrongSize"] == by_method["frames"]["WrongSize"] == 4
 
 

@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import trimesh
 
 from benchmark.cli.bench import main
+from benchmark.cli.report import main as report
 from benchmark.metrics.grasp.grasp import Grasps, write_grasps
 from std_toolkit.geometry.se3 import SE3
 
@@ -99,17 +101,45 @@ def test_scenes_parts_and_missing_images(
     write_grasps(dump / "scene_0100/realsense/0000.npy", from_above(0.0))
     words = ("--dump", dump, "--data", root, "--out", tmp_path / "out")
     status, (row,), told = run(capsys, *words)
-    # One of two images has no file: it is listed, and the rest is scored.
+    # One of two images has no file: it is listed, and counts as nothing found.
     assert status == 1 and "scene_0165" in told
+    assert (row["images"], row["unanswered"]) == (2, 1) and row["novel"][0] == 0
     # One grasp that holds: 1/1, 1/2, ... 1/50.
     alone = 100 * np.mean(1 / np.arange(1, 51))
-    assert row["seen"][0] == pytest.approx(alone) and row["novel"] is None
+    assert row["seen"][0] == pytest.approx(alone)
+    assert row["ap"][0] == pytest.approx(alone / 2)
+    write_grasps(dump / "scene_0165/realsense/0000.npy", from_above(0.0))
+    status, (row,), _ = run(capsys, *words)
+    assert status == 0 and row["novel"][0] == pytest.approx(alone)
     write_grasps(dump / "scene_0165/realsense/0000.npy", from_above(0.2))
     status, (row,), _ = run(capsys, *words)  # goes on where it was
     assert status == 0 and row["images"] == 2
     assert row["novel"][0] == 0 and row["ap"][0] == pytest.approx(alone / 2)
     status, (row,), _ = run(capsys, *words, "--graspnet-split", "novel", "--label", "other")
     assert row["label"] == "other" and row["images"] == 1
+
+
+@pytest.mark.slow
+def test_dumps_stand_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root, out = tmp_path / "graspnet", tmp_path / "out"
+    two_scenes(root)
+    for name, x in (("good", 0.0), ("far", 0.2), ("half", 0.0)):
+        write_grasps(tmp_path / name / "scene_0100/realsense/0000.npy", from_above(x))
+        if name != "half":
+            write_grasps(tmp_path / name / "scene_0165/realsense/0000.npy", from_above(x))
+        run(capsys, "--dump", tmp_path / name, "--data", root, "--out", out)
+    assert report([str(out)]) == 0
+    text = capsys.readouterr().out
+    rows = [line.split() for line in text.splitlines() if line.startswith(("good", "far", "half"))]
+    assert [row[0] for row in rows] == ["good", "far", "half"]  # ranked ones, then those that lack
+    assert "(1 unanswered)" in next(line for line in text.splitlines() if line.startswith("half"))
+    page = (out / "report.html").read_text()
+    assert "GraspNet test, realsense, exact contacts: 2 images" in page
+    assert "Highest AP: good" in page
+    table = pd.read_csv(out / "graspnet.csv")
+    alone = np.mean(1 / np.arange(1, 51))
+    assert table.set_index("grasps").loc["good", "ap"] == pytest.approx(alone)
+    assert table.set_index("grasps").loc["half", "ap"] == pytest.approx(alone / 2)
 
 
 @pytest.mark.parametrize(

@@ -210,11 +210,18 @@ def test_wrong_wishes(told, match, tmp_path):
         planned(tmp_path, "sim-to-real", **told)
 
 
-def test_folders_that_hold_something_else(tmp_path, own):
+def test_folders_that_hold_something_else(tmp_path, own, capsys):
     with pytest.raises(ToolkitError, match="no frames of a simulated set here"):
         planned(tmp_path, "sim-to-real", train_data=[str(own["std"])])
     with pytest.raises(ToolkitError, match=r"holds none of the recipe's tests"):
         planned(tmp_path, "domain-transfer", data=[str(own["std"])])
+    assert main(
+        ["recipe", "main-comparison", "--plan", "--scale", "tiny", "--out", str(tmp_path),
+         "--data", str(own["std"]), str(own["train"])]
+    ) == 0  # fmt: skip
+    assert (
+        f"{own['train']}: passed over, holds none of the recipe's tests" in capsys.readouterr().err
+    )
     with pytest.raises(ToolkitError, match="std-catnovel is expected as"):
         planned(tmp_path, "sim-to-real", data=[f"std-catnovel={own['train']}"])
     with pytest.raises(ToolkitError, match="two folders for one set"):

@@ -32,6 +32,8 @@ class ClearGrasp(NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = cleargrasp_network.ClearGraspConfig
+
     def __init__(self, options: registry.MethodOptions) -> None:
         self.config = plugins.configured(
             registry.preset_of(cleargrasp_network.PRESETS, options.preset), options.settings

@@ -293,6 +293,8 @@ class LIDF(NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = LIDFConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of("lidf", PRESETS, LIDFNetwork, options)
         super().__init__(network, options, self.config.input_size)

@@ -47,6 +47,8 @@ class SwinDRNet(NetworkRestorer):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = swindrnet_network.SwinDRNetConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self._options = options
         self.config, network = _network(options)

@@ -113,6 +113,8 @@ class Antipodal:
         ToolkitError: a setting that it does not have or that cannot be.
     """
 
+    settings_type = AntipodalSettings
+
     def __init__(self, options: MethodOptions | None = None) -> None:
         given = (options or MethodOptions()).settings
         self.settings = configured(AntipodalSettings(), given)

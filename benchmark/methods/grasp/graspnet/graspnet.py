@@ -34,6 +34,8 @@ class GraspNet:
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = GraspNetConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of("graspnet", PRESETS, GraspNetwork, options)
         self.gripper = gripper.get_gripper(self.config.gripper)

@@ -107,6 +107,8 @@ class NOCS(NetworkEstimator):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = NOCSConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config, network = network_of("nocs", PRESETS, NOCSNetwork, options)
         super().__init__(network, options, self.config)

@@ -45,6 +45,8 @@ class SwinDRNetNOCS(NetworkEstimator):
         ToolkitError: an unknown setting, no weights or those of another network, no such device.
     """
 
+    settings_type = swindrnet_nocs_network.SwinNOCSConfig
+
     def __init__(self, options: MethodOptions) -> None:
         self.config = configured(
             preset_of(swindrnet_nocs_network.PRESETS, options.preset), options.settings

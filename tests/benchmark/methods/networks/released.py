@@ -19,9 +19,10 @@ def reference_folder() -> Path:
     return folder
 
 
-def known(key: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Weights of a key, as the known answers were computed with."""
-    x = np.random.RandomState(crc32(key.encode())).standard_normal(shape).astype(np.float32)
+def known(key: str, shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
+    """Weights of a key; with seed 0, as the known answers were computed with."""
+    random = np.random.RandomState((crc32(key.encode()) + seed) % 2**32)
+    x = random.standard_normal(shape).astype(np.float32)
     if key.endswith("running_var"):
         return 1 + np.float32(0.1) * abs(x)
     if key.endswith("running_mean"):
@@ -31,8 +32,8 @@ def known(key: str, shape: tuple[int, ...]) -> np.ndarray:
     return (x / np.sqrt(np.prod(shape[1:]))).astype(np.float32)
 
 
-def released_state(name: str) -> dict[str, torch.Tensor]:
-    """The authors' keys and shapes with the known weights."""
+def released_state(name: str, seed: int = 0) -> dict[str, torch.Tensor]:
+    """The authors' keys and shapes with the known weights of a seed."""
     state = {}
     with (reference_folder() / f"{name}_released_state_dict.csv").open() as file:
         for row in csv.DictReader(file):
@@ -40,7 +41,7 @@ def released_state(name: str) -> dict[str, torch.Tensor]:
             if row["dtype"].startswith("int"):
                 state[row["key"]] = torch.zeros(shape, dtype=torch.int64)
             else:
-                state[row["key"]] = torch.from_numpy(np.asarray(known(row["key"], shape)))
+                state[row["key"]] = torch.from_numpy(np.asarray(known(row["key"], shape, seed)))
     return state
 
 

@@ -93,6 +93,29 @@ def test_dfnet(tmp_path: Path) -> None:
     assert "DFNet of its authors" in str(caught.value.hint)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "lowest"), [(1, None), (2, None), (3, -0.137)])
+@torch.inference_mode()
+def test_dfnet_answers_what_its_last_layer_gives(
+    seed: int, lowest: float | None, tmp_path: Path
+) -> None:
+    """The authors' forward does not clip; the answer of seed 3 has negative depth.
+
+    Their program is not at hand for these seeds: only the lowest depth of seed 3 is known.
+    """
+    weights = tmp_path / "checkpoint.tar"
+    torch.save({"model_state_dict": released_state("dfnet", seed)}, weights)
+    settings = {"form": "released"}
+    method = DFNet(MethodOptions(preset="published", weights=weights, settings=settings))
+    seen = {}
+    method.network.final.register_forward_hook(lambda *args: seen.update(last=args[2].clone()))
+    color = torch.from_numpy(np.random.RandomState(seed).rand(1, 3, 240, 320).astype(np.float32))
+    answer = method.network(color, torch.from_numpy(waves(240, 320))[None, None]).depth
+    torch.testing.assert_close(answer, seen["last"], rtol=0, atol=0)
+    if lowest is not None:
+        assert float(answer.min()) == pytest.approx(lowest, abs=5e-4)
+
+
 class Hostile:
     """A class that no checkpoint may bring along."""
 
