@@ -4,7 +4,8 @@ A network of colour (EfficientNet-Lite0) and depth finds the mask of glass and m
 occlusion edges, normals, and how far each measurement is to be trusted. What is trusted is
 continued into the rest as surfaces go on (`benchmark.methods.depth.continuation`). Where the
 network says that the continuation is not what is there, it moves the answer by a residual. Every
-answer has a spread.
+answer has a spread. Only in the mask may a measurement be doubted and a continuation be moved: a
+hole in a table stays a table.
 
 There is no normalisation over the image or the batch but in groups of channels of a convolution, so
 that the network takes images of any size.
@@ -142,8 +143,8 @@ class CompactDRNetwork(nn.Module):
             depth: (b, 1, h, w) metres, 0 where the sensor measured nothing.
         """
         found = self.look(color, depth)
-        trust = found.trust.sigmoid() * (depth > 0)
         clear = found.masks.sigmoid().amax(dim=1, keepdim=True)
+        trust = (1 - (1 - found.trust.sigmoid()) * decided(clear)) * (depth > 0)
         # The standard deviation of a Laplace density of this scale.
         return Prediction(found.depth, found.answer, trust, 2**0.5 * found.spread, clear)
 
@@ -154,10 +155,12 @@ class CompactDRNetwork(nn.Module):
         features = self._features(color, depth)
         maps = _enlarged(precisely(self.head, features), depth)
         masks, edges, normals, trust = maps.split([MASKS, EDGES, NORMALS, 1], dim=1)
-        base, off, moved, spread = self._answer(features, depth, trust)
-        raised = off.sigmoid()
+        clear = decided(masks.sigmoid().amax(dim=1, keepdim=True))
+        believed = 1 - (1 - trust.sigmoid()) * clear
+        base, off, moved, spread = self._answer(features, depth, believed)
+        raised = off.sigmoid() * clear
         answer = base * (1 - raised) + moved * raised
-        kept = decided(trust.sigmoid()) * (depth > 0)
+        kept = decided(believed) * (depth > 0)
         final = kept * depth + (1 - kept) * answer
         found = Looked(
             masks, edges, _unit(normals), trust, off, base, moved, answer, final,
@@ -186,15 +189,15 @@ class CompactDRNetwork(nn.Module):
         return features
 
     def _answer(
-        self, features: Tensor, depth: Tensor, trust: Tensor
+        self, features: Tensor, depth: Tensor, believed: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Continuation; logit that it is off; the answer then, metres; logarithm of the spread."""
-        base = precisely(_Continued(depth), trust)
+        base = precisely(_Continued(depth), believed)
         mean = mean_depth(depth)
         there = depth > 0
         apart = torch.where(there, (depth - base) / (_SPAN * mean), 0.0).clamp(-_LIMIT, _LIMIT)
         shown = torch.cat(
-            [relative_to(mean, base).clamp(-_LIMIT, _LIMIT), apart, there.float(), trust.sigmoid()],
+            [relative_to(mean, base).clamp(-_LIMIT, _LIMIT), apart, there.float(), believed],
             dim=1,
         )
         shown = interpolate(shown, size=features.shape[-2:], mode="bilinear", align_corners=False)
@@ -223,8 +226,8 @@ class _Continued(nn.Module):
         super().__init__()
         self._depth = depth
 
-    def forward(self, trust: Tensor) -> Tensor:
-        return continued(self._depth, trust.sigmoid())
+    def forward(self, believed: Tensor) -> Tensor:
+        return continued(self._depth, believed)
 
 
 def _grouped(
