@@ -1,8 +1,8 @@
 """CompactDR, the toolkit's own restorer: colour decides what is glass, and a table goes on.
 
-A network of colour (EfficientNet-Lite0) and depth finds the mask of glass and metal, contact and
-occlusion edges, normals, and how far each measurement is to be trusted. What is trusted is
-continued into the rest as surfaces go on (`benchmark.methods.depth.continuation`). Where the
+A network of colour (EfficientNet-Lite0) finds the mask of glass and metal. With depth it finds
+contact and occlusion edges, normals, and how far each measurement is to be trusted. What is trusted
+is continued into the rest as surfaces go on (`benchmark.methods.depth.continuation`). Where the
 network says that the continuation is not what is there, it moves the answer by a residual. Every
 answer has a spread. Only in the mask may a measurement be doubted and a continuation be moved: a
 hole in a table stays a table.
@@ -11,6 +11,7 @@ There is no normalisation over the image or the batch but in groups of channels 
 that the network takes images of any size.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -47,6 +48,7 @@ class CompactDRConfig:
     Attributes:
         depth_channels: of the levels of depth, at 1/2, 1/4, ... of the size.
         channels: of the decoder's levels.
+        mask_channels: of the levels of the mask's own decoder, which sees colour alone.
         group: channels that are normalised together.
         longest: pixels; larger images are made smaller for the network.
         input_size: (width, height) of all images; None for any.
@@ -54,6 +56,7 @@ class CompactDRConfig:
 
     depth_channels: tuple[int, int, int, int, int] = (16, 24, 32, 64, 96)
     channels: tuple[int, int, int, int, int] = (32, 48, 64, 96, 128)
+    mask_channels: int = 32
     group: int = 8
     longest: int = 320
     input_size: tuple[int, int] | None = None
@@ -113,7 +116,12 @@ class CompactDRNetwork(nn.Module):
             _grouped(fine + coarse, fine, group) for fine, coarse in pairwise(widths)
         )
         self.refine = nn.ModuleList(_grouped(width, width, group) for width in widths[:-1])
-        self.head = nn.Conv2d(widths[0], MASKS + EDGES + NORMALS + 1, 1)
+        self.head = nn.Conv2d(widths[0], EDGES + NORMALS + 1, 1)
+        # A hole in the depth is no glass: the mask sees colour alone.
+        width = config.mask_channels
+        self.of_color = nn.ModuleList(nn.Conv2d(color, width, 1) for color in CHANNELS)
+        self.mask = nn.Sequential(_grouped(width, width, group), _grouped(width, width, group))
+        self.clear = nn.Conv2d(width, MASKS, 1)
         # The residual sees the continuation, and the sensor's difference from it.
         self.join = _grouped(widths[0] + 4, widths[0], group)
         self.wide = nn.ModuleList(
@@ -124,14 +132,15 @@ class CompactDRNetwork(nn.Module):
 
     def _begin(self) -> None:
         """Answers at first: no glass, the sensor is right, surfaces go on."""
-        for head in (self.head, self.last):
+        for head in (self.head, self.last, self.clear):
             nn.init.normal_(head.weight, std=0.01)
             assert head.bias is not None
             nn.init.zeros_(head.bias)
         with torch.no_grad():
             assert self.head.bias is not None and self.last.bias is not None
-            self.head.bias[:MASKS] = _OFF
-            self.head.bias[MASKS + EDGES + NORMALS - 1] = -1.0  # facing the camera
+            assert self.clear.bias is not None
+            self.clear.bias.fill_(_OFF)
+            self.head.bias[EDGES + NORMALS - 1] = -1.0  # facing the camera
             self.head.bias[-1] = _TRUSTED
             self.last.bias.copy_(torch.tensor([_OFF, 0.0, _SPREAD]))
 
@@ -152,9 +161,11 @@ class CompactDRNetwork(nn.Module):
         """All that the network says of an image; arguments as of `forward`."""
         h, w = depth.shape[-2:]
         color, depth = padded_to(color, _MULTIPLE), padded_to(depth, _MULTIPLE)
-        features = self._features(color, depth)
+        of_color = self.encoder(color)
+        features = self._features(of_color, depth)
+        masks = _enlarged(precisely(self.clear, self._of_mask(of_color)), depth)
         maps = _enlarged(precisely(self.head, features), depth)
-        masks, edges, normals, trust = maps.split([MASKS, EDGES, NORMALS, 1], dim=1)
+        edges, normals, trust = maps.split([EDGES, NORMALS, 1], dim=1)
         clear = decided(masks.sigmoid().amax(dim=1, keepdim=True))
         believed = 1 - (1 - trust.sigmoid()) * clear
         base, off, moved, spread = self._answer(features, depth, believed)
@@ -168,10 +179,18 @@ class CompactDRNetwork(nn.Module):
         )  # fmt: skip
         return Looked(*(one[..., :h, :w] for one in found))
 
-    def _features(self, color: Tensor, depth: Tensor) -> Tensor:
+    def _of_mask(self, of_color: Sequence[Tensor]) -> Tensor:
+        """(b, c, h / 2, w / 2) of colour, for the mask."""
+        levels = [one(each) for one, each in zip(self.of_color, of_color, strict=True)]
+        found = levels[-1] + levels[-1].mean(dim=(2, 3), keepdim=True)
+        for finer in reversed(levels[:-1]):
+            found = finer + _enlarged(found, finer)
+        return self.mask(found)
+
+    def _features(self, of_color: Sequence[Tensor], depth: Tensor) -> Tensor:
         """(b, c, h / 2, w / 2) of both, after the decoder."""
         seen = precisely(_Seen(), depth)
-        of_color, of_depth = self.encoder(color), []
+        of_depth = []
         for level in self.of_depth:
             seen = level(seen)
             of_depth.append(seen)
