@@ -1,0 +1,383 @@
+"""Depth of glass and metal fused from all views of a scene: `std-restore SCENE --multi-view`.
+
+Every frame is restored alone first, into `single/`. Where its mask shows glass or metal, two
+sources then answer along every ray. The visual hull says that nothing is nearer than its front,
+and is right where the object is convex and seen from around. The answers of all views that look
+at the point are their mean, weighted by 1 / spread^2. Both are weighted by their variances: that
+of the answers grows where other views contradict them, that of the hull where the answers lie
+farther behind it than they are expected to be off, as inside of a bowl.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.metrics.depth.figures import tolerance
+from benchmark.restoring.outputs import (
+    FramePaths,
+    FrameRecord,
+    RestoreSetup,
+    paths_of,
+    read_frame,
+    write_frame,
+)
+from benchmark.restoring.recordings import FrameFiles, RecordingFiles
+from benchmark.restoring.restorer import FINDER, RestoredFrame
+from benchmark.restoring.visual_hull import Entry, Hull, PosedView, hull_of
+from std_toolkit.arrays import Floats, Mask
+from std_toolkit.compiled import compiled
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Undistortion, pixel_rays
+from std_toolkit.io.documents import digest_of
+from std_toolkit.jobs import JobOptions, run_jobs
+from std_toolkit.jobs.runner import JobReport
+from std_toolkit.log import logger
+from std_toolkit.settings import Settings, limit
+
+SINGLE = "single"  # folder of the frames that are restored alone
+
+_TRIED = "ray-cast bottle, tumbler and bowl, 12 to 18 views, answers off by 10 to 45 mm"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionSettings(Settings):
+    """How the answers of views and the hull are weighted."""
+
+    most_views: int = limit(48, source="every 8 degrees around a table")
+    """views whose answers and masks are used, evenly chosen; all frames are written"""
+    alike: float = limit(0.8, source="a network errs alike in all views of a glass")
+    """correlation of the errors of a method in different views"""
+    near_deg: float = limit(40.0, unit="deg", source=_TRIED)
+    """answers of views that look along the ray of a pixel to within this angle are averaged"""
+    hull_share: float = limit(0.15, source="9 to 14 mm on a bottle of 70 mm, 6 to 18 true masks")
+    """expected error of the hull from around, as a share of its thickness"""
+    doubted: float = limit(1.5, source=_TRIED)
+    """the hull is doubted where answers lie behind it by more than this times their variance"""
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """Depth of a view after the fusion.
+
+    Attributes:
+        depth: (H, W) float32 metres.
+        spread: (H, W) float32 metres, its expected error.
+        fused: (H, W) pixels of glass or metal that have the answer of all views.
+    """
+
+    depth: Floats
+    spread: Floats
+    fused: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """The answers of a view within the hull: maps (H, W), 0 where there is none."""
+
+    view: PosedView
+    depth: Floats
+    variance: Floats
+    pixels: Mask
+    entry: Entry
+
+
+class ViewFusion:
+    """The views of a scene as one surface.
+
+    Args:
+        views: of a static scene; those that `hull_of` finds to be wrong are left out.
+    """
+
+    def __init__(self, views: Sequence[PosedView]) -> None:
+        self.hull = hull_of(views) if len(views) > 1 else None
+        self._surfaces: list[_Surface] = []
+        if self.hull is not None:
+            used = [v for v, counts in zip(views, self.hull.counted, strict=True) if counts]
+            self._surfaces = [_surface(view, self.hull) for view in used]
+
+    def fuse(self, view: PosedView) -> Fused:
+        """The depth of a view: only pixels of its mask that the hull covers change.
+
+        Args:
+            view: any view of the scene; others that have its name do not count twice.
+        """
+        depth, spread = view.depth.copy(), view.spread.copy()
+        if self.hull is None or not view.mask.any():
+            return Fused(depth, spread, np.zeros(depth.shape, bool))
+        own = _surface(view, self.hull)
+        answer, variance = self._mean(own)
+        z, variance = _with_hull(own, answer, variance, self.hull)
+        depth[own.pixels], spread[own.pixels] = z, np.sqrt(variance)
+        return Fused(depth, spread, own.pixels)
+
+    def _mean(self, own: _Surface) -> tuple[Floats, Floats]:
+        """The mean of the answers of all views at the pixels of one, and its variance."""
+        settings = FusionSettings.current()
+        z, variance = own.depth[own.pixels], own.variance[own.pixels]
+        pose = own.view.T_world_cam
+        points = pose @ (pixel_rays(own.view.camera)[own.pixels] * z[:, None])
+        sums = np.zeros((len(z), 5))
+        sums[:, 0], sums[:, 2] = 1 / variance, 1
+        nearest = float(np.cos(np.deg2rad(settings.near_deg)))
+        for other in self._surfaces:
+            if other.view.name == own.view.name:
+                continue
+            T = other.view.T_world_cam.inverse()
+            centres = np.stack([pose.t, other.view.T_world_cam.t])
+            K = other.view.intrinsics
+            _compare(
+                points, variance, centres, T.R, T.t, K, other.depth, other.variance, nearest, sums
+            )
+        weight, shift, count, against, seeing = sums.T
+        mean = z + shift / weight
+        alone = count / weight  # mean variance of one answer
+        found = settings.alike * alone + (1 - settings.alike) / weight
+        # Half of what is seen lies before it: 1 where answers are as far off as is expected.
+        contradicted = np.maximum(1, 2 * against / np.maximum(seeing, 1))
+        return mean.astype(np.float32), (found * contradicted).astype(np.float32)
+
+
+def _surface(view: PosedView, hull: Hull) -> _Surface:
+    """The answers of a view, which cannot lie before the hull nor behind it."""
+    pixels = view.mask.copy()
+    entry = hull.entry(view, pixels)
+    met = entry.front > 0
+    pixels[pixels] = met
+    front, back, across = (values[met] for values in (entry.front, entry.back, entry.across))
+    given = view.depth[pixels]
+    answered = given > 0
+    z = np.clip(np.where(answered, given, front), front, back)
+    spread = np.maximum(view.spread[pixels], tolerance(z))
+    variance = np.where(answered, spread**2 + (given - z) ** 2, (back - front) ** 2 + across**2)
+    depth_map, variance_map = (np.zeros(pixels.shape, np.float32) for _ in range(2))
+    depth_map[pixels], variance_map[pixels] = z, variance
+    return _Surface(view, depth_map, variance_map, pixels, Entry(front, back, across))
+
+
+def _with_hull(
+    own: _Surface, answer: Floats, variance: Floats, hull: Hull
+) -> tuple[Floats, Floats]:
+    """The answers of the views and the front of the hull, weighted by their variances."""
+    settings = FusionSettings.current()
+    front, across = own.entry.front, own.entry.across
+    answer = np.maximum(answer, front)
+    share = settings.hull_share + (1 - hull.around) / 2
+    grain = hull.grid.edge + 2 * front / own.view.camera.fx
+    behind = _around_mean((answer - front) ** 2, own)
+    surprise = behind / _around_mean(variance, own)
+    of_hull = (share * across) ** 2 + grain**2
+    of_hull = of_hull + behind * np.maximum(surprise / settings.doubted - 1, 0)
+    weights = 1 / variance + 1 / of_hull
+    z = (answer / variance + front / of_hull) / weights
+    return z.astype(np.float32), (1 / weights).astype(np.float32)
+
+
+def _around_mean(values: Floats, own: _Surface) -> Floats:
+    """Means over the pixels of the surface around each, about a twentieth of the image wide."""
+    full, there = np.zeros(own.pixels.shape, np.float32), own.pixels.astype(np.float32)
+    full[own.pixels] = values
+    size = (2 * (own.view.camera.width // 40) + 1,) * 2
+    summed, counted = (cv2.blur(m, size, borderType=cv2.BORDER_CONSTANT) for m in (full, there))
+    return np.asarray(summed[own.pixels] / counted[own.pixels], np.float32)
+
+
+def _compare_code(
+    points: Any, variances: Any, centres: Any, R: Any, t: Any, K: Any,
+    depth: Any, variance: Any, nearest: Any, sums: Any,
+) -> None:  # fmt: skip
+    """Compare the points of one view (N, 3) with the answers (H, W) of another.
+
+    To the rows of `sums` are added: weights and weighted distances of answers along nearly the
+    same ray, their number; squares of distances in front of the other's answer, by their variance,
+    and the number of points that the other sees.
+    """
+    height, width = depth.shape
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        zc = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        if zc < 0.01:
+            continue
+        xc = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        yc = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        u = int(np.floor(K[0] * xc / zc + K[2] + 0.5))
+        v = int(np.floor(K[1] * yc / zc + K[3] + 0.5))
+        if not (0 <= u < width and 0 <= v < height) or variance[v, u] <= 0:
+            continue
+        behind = depth[v, u] - zc
+        both = variances[n] + variance[v, u]
+        square = behind * behind / both
+        if behind < 0 and square > 9:
+            continue  # hidden by what the other sees
+        sums[n, 4] += 1
+        if behind > 0:
+            sums[n, 3] += min(square, 25.0)
+        ax, ay, az = x - centres[0, 0], y - centres[0, 1], z - centres[0, 2]
+        bx, by, bz = x - centres[1, 0], y - centres[1, 1], z - centres[1, 2]
+        lengths = np.sqrt((ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz))
+        if square <= 9 and ax * bx + ay * by + az * bz >= nearest * lengths:
+            sums[n, 0] += 1 / variance[v, u]
+            sums[n, 1] += behind / variance[v, u]
+            sums[n, 2] += 1
+
+
+_compare = compiled(_compare_code, error_model="numpy")
+
+
+def check_poses(recording: RecordingFiles) -> None:
+    """Check that views of a recording can be fused.
+
+    Raises:
+        ToolkitError: fewer than two of its frames have camera poses.
+    """
+    posed = sum(frame.T_world_cam is not None for frame in recording.frames)
+    if posed < 2 <= len(recording.frames) or posed == 0:
+        raise ToolkitError(
+            "has no camera poses" if posed == 0 else "has a camera pose of one frame alone",
+            path=recording.source,
+            field="--multi-view",
+            hint="make a scene of it (`std-curate import`), find its poses (`std-curate poses "
+            "SCENE`), and restore that scene; or leave out --multi-view",
+        )
+    if posed < len(recording.frames):
+        logger.warning(
+            "%s: %d of %d frames have no camera pose and stay as they are restored alone",
+            recording.source, len(recording.frames) - posed, len(recording.frames),
+        )  # fmt: skip
+
+
+def check_answer(restored: RestoredFrame) -> None:
+    """Check that the answers of a method can be fused.
+
+    Raises:
+        ToolkitError: it gives no spread, or nothing tells where glass and metal are.
+    """
+    if restored.spread is None or restored.clear is None:
+        raise ToolkitError(
+            "the method does not say "
+            + ("how far off its answers are" if restored.spread is None else "where glass is"),
+            field="--multi-view",
+            hint=f"--method {FINDER} says both",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FrameToFuse:
+    """A frame of a recording that is restored alone."""
+
+    recording: str
+    frame: FrameFiles
+    paths: FramePaths
+    single: FramePaths
+    record: FrameRecord
+
+    def __str__(self) -> str:
+        return f"{self.recording}/{self.frame.name}"
+
+    def posed(self, restored: RestoredFrame) -> PosedView:
+        """The frame as a view of a pinhole."""
+        camera, T_world_cam = self.frame.camera, self.frame.T_world_cam
+        spread, clear = restored.spread, restored.clear
+        assert T_world_cam is not None and spread is not None and clear is not None
+        maps: list[NDArray[Any]] = [restored.depth, spread, clear]
+        kept, seen = ~restored.changed & (restored.depth > 0), None
+        if camera.is_distorted:
+            pinhole = Undistortion(camera, camera.without_distortion())
+            maps = [pinhole.depth(values) for values in maps]
+            kept, seen = pinhole.depth(kept), pinhole.depth(np.ones(kept.shape, bool))
+            camera = pinhole.camera
+        return PosedView(self.frame.name, camera, T_world_cam, *maps, kept, seen)
+
+    def filed(self, restored: RestoredFrame, fused: Fused) -> RestoredFrame:
+        """The answer of the fusion through the lens of the frame; the rest stays to the bit."""
+        assert restored.spread is not None and restored.clear is not None
+        depth, spread, where = fused.depth, fused.spread, fused.fused
+        camera = self.frame.camera
+        if camera.is_distorted:
+            c = camera.without_distortion()
+            rays = np.nan_to_num(pixel_rays(camera), nan=-10.0)
+            u, v = (
+                np.clip(np.rint(f * rays[..., a] + o).astype(int), 0, n - 1)
+                for a, f, o, n in ((0, c.fx, c.cx, c.width), (1, c.fy, c.cy, c.height))
+            )
+            depth, spread, where = depth[v, u], spread[v, u], where[v, u]
+        depth = np.where(where, depth, restored.depth)
+        spread = np.where(where, spread, restored.spread)
+        return replace(restored, depth=depth, spread=spread)
+
+
+@dataclass
+class RecordingFusion:
+    """The fusion of a recording, made when the first frame needs it."""
+
+    items: Sequence[FrameToFuse] = field(repr=False)
+
+    @cached_property
+    def made(self) -> ViewFusion:
+        posed = [item for item in self.items if item.frame.T_world_cam is not None]
+        most = FusionSettings.current().most_views
+        chosen = sorted({round(i) for i in np.linspace(0, len(posed) - 1, min(len(posed), most))})
+        return ViewFusion([item.posed(_single(item)) for item in (posed[i] for i in chosen)])
+
+
+def fuse_recording(
+    recording: RecordingFiles,
+    records: Mapping[str, FrameRecord],
+    folders: tuple[Any, Any],
+    setup: RestoreSetup,
+    jobs: JobOptions,
+) -> JobReport[FrameRecord]:
+    """Fuse all frames of a recording and write them; those that are done are kept.
+
+    Args:
+        recording: its frames.
+        records: of the frames that are restored alone, by name.
+        folders: of these frames, and of the results.
+        setup: of the results.
+        jobs: whether progress is shown; the work is done in this process.
+
+    Returns:
+        Records and failures by `recording/frame`.
+    """
+    done = [frame for frame in recording.frames if frame.name in records]
+    poses = [None if f.T_world_cam is None else f.T_world_cam.flat() for f in done]
+    digest = digest_of([records[f.name].outputs for f in done], poses, versioned=False)
+    more = {"single frames or camera poses": digest}
+    items = [
+        FrameToFuse(
+            recording.name,
+            frame,
+            replace(paths_of(folders[1], frame, setup.depth_format), more=more),
+            paths_of(folders[0], frame, setup.depth_format),
+            records[frame.name],
+        )
+        for frame in done
+    ]
+    work = partial(_fuse_item, fusion=RecordingFusion(items), setup=setup)
+    return run_jobs(work, items, name="fuse", options=replace(jobs, engine="serial", workers=None))
+
+
+def _fuse_item(item: FrameToFuse, *, fusion: RecordingFusion, setup: RestoreSetup) -> FrameRecord:
+    artefact = item.paths.artefact(item.frame)
+    if (record := artefact.find(item.paths.record, FrameRecord)) is not None:
+        return record
+    color, sensor = item.frame.read()
+    restored = _single(item)
+    if item.frame.T_world_cam is not None:
+        restored = item.filed(restored, fusion.made.fuse(item.posed(restored)))
+    if setup.max_error_m is not None:
+        assert restored.spread is not None
+        too_far = restored.spread > setup.max_error_m
+        restored = replace(restored, depth=np.where(too_far, np.float32(0), restored.depth))
+    return write_frame(item.paths, item.frame, color, sensor, restored, setup)
+
+
+def _single(item: FrameToFuse) -> RestoredFrame:
+    """A frame that was restored alone."""
+    restored = read_frame(item.single, item.record)
+    check_answer(restored)
+    return restored
