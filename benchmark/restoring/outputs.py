@@ -272,7 +272,7 @@ def read_frame(paths: FramePaths, record: FrameRecord) -> RestoredFrame:
     return RestoredFrame(
         read_depth(paths.depth, scale=record.unit),
         share(paths.confidence),
-        read_png(paths.changed) > 0,
+        read_png(paths.changed).astype(bool),
         read_depth(paths.spread, scale=_SPREAD_UNIT) if there else None,
         share(paths.glass),
     )

@@ -155,9 +155,7 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
     # Made once here, so that a wrong option is reported once and before anything is written.
     restorer = Restorer.of(alone, device=options.device, backend=options.backend)
     setup = msgspec.structs.replace(
-        setup_of(
-            options.choice, restorer, options.depth_format, options.points, options.pictures
-        ),
+        setup_of(options.choice, restorer, options.depth_format, options.points, options.pictures),
         multi_view=options.multi_view,
     )
     of_single = setup

@@ -39,7 +39,8 @@ class HullSettings(Settings):
     most_voxels: int = limit(8_000_000, source="0.1 s of processor time a view, 40 MB")
     """voxels are made larger beyond this number"""
     missed: float = limit(0.03, source=_TRIED)
-    """share of the pixels of glass and metal that a mask misses; a third where depth was measured"""
+    """share of the pixels of glass and metal that a mask misses; a third of it where depth is
+    measured"""
     by_chance: float = limit(0.75, source=_TRIED)
     """share of the voxels beside an object that the mask of a view covers"""
     agreeing: float = limit(0.5, source="an empty mask has 0, one eroded by 2 px 0.8")
@@ -179,8 +180,8 @@ def _reach(views: Sequence[PosedView]) -> tuple[Array, Array] | None:
         pixels = view.mask & (view.depth > 0)
         rays = pixel_rays(view.camera)[pixels][::7]
         depth, spread = view.depth[pixels][::7], view.spread[pixels][::7]
-        for z in (np.maximum(depth - 3 * spread, depth / 2), depth + 2 * spread):
-            ends.append(view.T_world_cam @ (rays * z[:, None]))
+        near, far = np.maximum(depth - 3 * spread, depth / 2), depth + 2 * spread
+        ends += [view.T_world_cam @ (rays * z[:, None]) for z in (near, far)]
     points = np.concatenate(ends) if ends else np.zeros((0, 3))
     if len(points) < 8:
         return None

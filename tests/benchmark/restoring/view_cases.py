@@ -1,4 +1,4 @@
-"""Ray-cast scenes of one object seen from around, with the truth and made-up answers of a method."""
+"""Ray-cast scenes of an object seen from around: the truth, and made-up answers of a method."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def seen_from_around(
         turn = np.deg2rad(arc * index / max(views - (arc < 360), 1) - 90 - arc / 2 * (arc < 360))
         up = np.deg2rad(35 + 12 * np.sin(3 * turn))
         eye = 0.55 * np.array([np.cos(turn) * np.cos(up), np.sin(turn) * np.cos(up), np.sin(up)])
-        T_world_cam = look_at(eye + [0, 0, 0.05], [-0.03, 0, 0.06])
+        T_world_cam = look_at(eye + np.array([0, 0, 0.05]), [-0.03, 0, 0.06])
         rays = camera.rays().reshape(-1, 3) @ T_world_cam.R.T
         hits = world.cast(np.broadcast_to(T_world_cam.t, rays.shape), rays)
         true = np.where(np.isfinite(hits.t), hits.t, 0).reshape(h, w).astype(np.float32)
@@ -76,7 +76,10 @@ def seen_from_around(
         off = bias + error * noise / noise.std()
         depth = np.where(glass, true + off, true).astype(np.float32)
         said = float(np.hypot(error, bias)) if spread is None else spread
-        maps = np.where(glass, said, 0.003).astype(np.float32), glass.astype(np.float32) * 0.9 + 0.03
+        maps = (
+            np.where(glass, said, 0.003).astype(np.float32),
+            glass.astype(np.float32) * 0.9 + 0.03,
+        )
         view = PosedView(f"{index:06d}", camera, T_world_cam, depth, maps[0], maps[1], ~glass)
         found.append(Seen(view, true, glass))
     return found
