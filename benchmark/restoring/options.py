@@ -63,6 +63,9 @@ class RestoreOptions:
     """what runs the network: onnx (onnxruntime), torch, or auto (onnxruntime where the toolkit has
     the graph, otherwise torch)"""
     images: ImageOptions = field(default_factory=ImageOptions)
+    multi_view: bool = False
+    """fuse glass and metal of all frames of scenes with camera poses (`std-curate poses`); for
+    methods with a spread and a mask, such as compactdr; single/ has the frames restored alone"""
     depth_format: DepthFormat = field(default="same", metadata={"option": "format"})
     """of restored depth: 16-bit PNG with the recording's unit, EXR in metres, or the same as the
     recording"""

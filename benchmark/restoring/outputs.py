@@ -1,6 +1,7 @@
 """Files of restored frames: depth, confidence, changed pixels, points, pictures, the record."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -21,7 +22,7 @@ from std_toolkit.geometry.depth_maps import unproject_depth
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import digest_file, digest_of, write_document
 from std_toolkit.io.exr import write_exr
-from std_toolkit.io.images import write_color, write_depth_png16, write_png
+from std_toolkit.io.images import read_depth, read_png, write_color, write_depth_png16, write_png
 from std_toolkit.jobs.artefact import Artefact, Record
 
 RECORD = "restore.json"
@@ -41,6 +42,7 @@ class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         size: (width, height) that the method works at; empty for the camera's.
         where: what may be changed, `everywhere` or on `glass` alone.
         max_error_m: expected error from which on depth is left out, metres; None for no limit.
+        multi_view: whether the frames are fused (`multi_view`), or restored alone.
         backend: `onnx` or `torch` for networks, empty for methods without weights.
         depth_format: `same`, `png` or `exr`.
         points, pictures: whether these are written.
@@ -57,6 +59,7 @@ class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     pictures: bool
     where: Where = "everywhere"
     max_error_m: float | None = None
+    multi_view: bool = False
 
 
 class RestoreRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -148,11 +151,13 @@ class FramePaths:
         out: folder of the recording's results.
         name: of the frame.
         exr: whether depth is an EXR.
+        more: digests of what else the files are made of, by name.
     """
 
     out: Path
     name: str
     exr: bool
+    more: Mapping[str, str] = field(default_factory=dict)
 
     color = _file("color", ".png")
     confidence = _file("confidence", ".png")
@@ -179,7 +184,8 @@ class FramePaths:
             )
         reading = [frame.scale, frame.correction, frame.missing.values, frame.missing.float_unit]
         inputs["reading of the depth"] = digest_of(reading, versioned=False)
-        return Artefact(self.out, f"frame {frame.name}", inputs)
+        limits = ("benchmark.restoring.",) if self.more else ()  # of the fusion
+        return Artefact(self.out, f"frame {frame.name}", inputs | dict(self.more), limits=limits)
 
 
 def paths_of(out: Path, frame: FrameFiles, depth_format: DepthFormat) -> FramePaths:
@@ -250,6 +256,26 @@ def write_frame(
     )
     write_document(paths.record, record)
     return record
+
+
+def read_frame(paths: FramePaths, record: FrameRecord) -> RestoredFrame:
+    """What `write_frame` wrote, to the precision of the files.
+
+    Raises:
+        ToolkitError: a file is missing or damaged.
+    """
+
+    def share(path: Path) -> NDArray[np.float32] | None:
+        return read_png(path).astype(np.float32) / np.float32(255) if path.exists() else None
+
+    there = paths.spread.exists()
+    return RestoredFrame(
+        read_depth(paths.depth, scale=record.unit),
+        share(paths.confidence),
+        read_png(paths.changed).astype(bool),
+        read_depth(paths.spread, scale=_SPREAD_UNIT) if there else None,
+        share(paths.glass),
+    )
 
 
 def write_intrinsics(path: Path, camera: Camera) -> None:

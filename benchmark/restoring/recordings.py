@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchmark.restoring.kept_scenes import imported_scene, unpacked_scene
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, Undistortion
+from std_toolkit.geometry.se3 import SE3
 from std_toolkit.importers.depth_files import DEPTH_SUFFIXES, Missing, read_foreign_depth
 from std_toolkit.importers.depth_survey import (
     DepthFile,
@@ -50,6 +51,7 @@ class FrameFiles:
         undistortion: of both images to `camera`, if they are recorded through another lens.
         missing: which numbers of the depth are no measurement.
         two_bytes: whether the depth may have two bytes in colours.
+        T_world_cam: pose of the camera, metres; None if nobody knows it.
     """
 
     name: str
@@ -62,6 +64,7 @@ class FrameFiles:
     undistortion: Undistortion | None = None
     missing: Missing = field(default_factory=Missing)
     two_bytes: bool = False
+    T_world_cam: SE3 | None = None
 
     def read(self) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Read (h, w, 3) RGB and (h, w) metres, 0 where the sensor measured nothing.
@@ -316,6 +319,7 @@ def _of_scene(root: Path, source: Path) -> RecordingFiles:
                 scene.camera(f),
                 info.depth_scale,
                 info.depth_correction,
+                T_world_cam=scene.T_world_cam(f.id),
             )
             for f in scene.frames
             if f.depth is not None

@@ -27,7 +27,7 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.depth_maps import LARGEST_MEDIAN_DEPTH_M
 
 FINDER = "compactdr"  # looks for glass and metal where a method does not
-_GLASS = 0.5  # probability from which on a pixel is glass or metal
+GLASS = 0.5  # probability from which on a pixel is glass or metal
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +216,7 @@ class Restorer:
                 seen = sensor_view(color, sensor, camera, working_size(self._finder, camera.size))
                 clear = to_full_size(sensor, _answer(self._finder, seen)).clear
                 assert clear is not None
-            depth = np.where(clear >= _GLASS, depth, sensor)
+            depth = np.where(clear >= GLASS, depth, sensor)
         return RestoredFrame(depth, found.confidence, depth != sensor, found.spread, clear)
 
 

@@ -3,7 +3,7 @@
 A video shows colour, raw and restored depth side by side.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.evaluation.depth_panels import DepthScale, range_of, restored_strip
 from benchmark.published.citations import write_citations
 from benchmark.restoring.alignment import depth_beside_color
+from benchmark.restoring.multi_view import SINGLE, check_answer, check_poses, fuse_recording
 from benchmark.restoring.options import RestoreOptions
 from benchmark.restoring.outputs import (
     RECORD,
@@ -35,7 +37,7 @@ from benchmark.restoring.recordings import (
     RecordingFiles,
     open_recordings,
 )
-from benchmark.restoring.restorer import Restorer
+from benchmark.restoring.restorer import RestoredFrame, Restorer
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
 from std_toolkit.io.images import read_depth
@@ -84,7 +86,7 @@ class RestoreReport:
 
     folders: dict[str, Path] = field(default_factory=dict)
     frames: dict[str, dict[str, FrameRecord]] = field(default_factory=dict)
-    failed: Mapping[str, str] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
 
     def shares(self, recording: str) -> dict[str, float]:
         """Mean shares of pixels over the frames of a recording; see `FrameRecord`."""
@@ -145,43 +147,73 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
     # Workers on other machines have other working folders.
     options = _absolute(options)
     recordings = open_recordings(options.sources, options.images, options.out)
+    if options.multi_view:
+        for recording in recordings:
+            check_poses(recording)
+    # What is left out depends on the spread after the fusion.
+    alone = replace(options.choice, max_error_m=None) if options.multi_view else options.choice
     # Made once here, so that a wrong option is reported once and before anything is written.
-    restorer = Restorer.of(options.choice, device=options.device, backend=options.backend)
-    pictures = options.pictures
-    setup = setup_of(options.choice, restorer, options.depth_format, options.points, pictures)
-    if restorer.options.weights is not None and restorer.options.weights.suffix == ".onnx":
+    restorer = Restorer.of(alone, device=options.device, backend=options.backend)
+    setup = msgspec.structs.replace(
+        setup_of(options.choice, restorer, options.depth_format, options.points, options.pictures),
+        multi_view=options.multi_view,
+    )
+    of_single = setup
+    if options.multi_view:
+        plain = {"points": False, "pictures": False, "max_error_m": None, "multi_view": False}
+        of_single = msgspec.structs.replace(setup, **plain)
+    weights = restorer.options.weights
+    if options.multi_view or (weights is not None and weights.suffix == ".onnx"):
         # Somebody else's graph may fail, or run on without end: once, before all frames do.
-        _try_first(restorer, recordings[0].frames[0])
+        answer = _try_first(restorer, recordings[0].frames[0])
+        if options.multi_view and answer is not None:
+            check_answer(answer)
     del restorer
     for recording in recordings:
         _warn_of_shift(recording)
     report = RestoreReport()
     with ExitStack() as locks:
+        folders = {}
         for recording in recordings:
             out = options.out / recording.name if len(recordings) > 1 else options.out
             _begin(out, setup, recording, locks)
-            report.folders[recording.name] = out
+            report.folders[recording.name] = folders[recording.name] = out
+            if options.multi_view:
+                folders[recording.name] = out / SINGLE
+                _begin(out / SINGLE, of_single, recording, locks)
         items = [
-            Item(recording.name, frame, report.folders[recording.name])
+            Item(recording.name, frame, folders[recording.name])
             for recording in recordings
             for frame in recording.frames
         ]
         jobs = options.jobs
         if jobs.workers is None and jobs.engine == "local":
             jobs = replace(jobs, workers=min(jobs.worker_count, _MOST_WORKERS))
-        choice = (options.choice, options.device, options.backend)
+        choice = (alone, options.device, options.backend)
         done = run_jobs(
-            partial(restore_item, choice=choice, setup=setup),
+            partial(restore_item, choice=choice, setup=of_single),
             items,
             name="restore",
             options=jobs,
         )
-    for name in report.folders:
-        report.frames[name] = {}
-    for item in items:
-        if (record := done.results.get(str(item))) is not None:
-            report.frames[item.recording][item.frame.name] = record
-    report.failed = done.failed
+        report.failed = dict(done.failed)
+        for recording in recordings:
+            name = recording.name
+            records = {
+                item.frame.name: record
+                for item in items
+                if item.recording == name and (record := done.results.get(str(item))) is not None
+            }
+            if options.multi_view and records:
+                both = (folders[name], report.folders[name])
+                fused = fuse_recording(recording, records, both, setup, jobs)
+                report.failed |= fused.failed
+                records = {
+                    frame: fused.results[f"{name}/{frame}"]
+                    for frame in records
+                    if f"{name}/{frame}" in fused.results
+                }
+            report.frames[name] = records
     for line in report.warnings():
         logger.warning("%s", line)
     for out in report.folders.values():
@@ -207,8 +239,8 @@ def _warn_of_shift(recording: RecordingFiles) -> None:
         )  # fmt: skip
 
 
-def _try_first(restorer: Restorer, frame: FrameFiles) -> None:
-    """Restore a frame and write nothing.
+def _try_first(restorer: Restorer, frame: FrameFiles) -> RestoredFrame | None:
+    """Restore a frame and write nothing; None if its images cannot be restored.
 
     Raises:
         ToolkitError: the network fails, or takes too long.
@@ -216,9 +248,8 @@ def _try_first(restorer: Restorer, frame: FrameFiles) -> None:
     try:
         color, sensor = frame.read()
     except ToolkitError:
-        return  # reported with its frame
-    if (sensor > 0).any():
-        restorer.restore_view(color, sensor, frame.camera)
+        return None  # reported with its frame
+    return restorer.restore_view(color, sensor, frame.camera) if (sensor > 0).any() else None
 
 
 def _write_video(
