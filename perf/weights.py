@@ -4,7 +4,7 @@
     python perf/weights.py --recordings DIR ... [--weights DIR] [--limit 60]
 
 For each test: RMSE in mm and share of pixels within 5 % on specular and transparent pixels,
-protocol `strict`, of every filling and of SwinDRNet, NLSPN and DFNet; and how often good depth is
+protocol `strict`, of every filling and of the networks; and how often good depth is
 spoiled: the share of pixels of opaque objects whose sensor depth is within 5 mm of the truth and
 whose restored depth is more than 10 mm away, of the network's own map and of what `std-restore`
 returns; the last also of the surroundings of the objects. Fewer than ten frames are listed one by
@@ -43,7 +43,7 @@ from benchmark.restoring.restorer import Restorer  # noqa: E402
 from std_toolkit.importers.options import ImageOptions  # noqa: E402
 
 FILLINGS = ("nearest", "telea", "navier-stokes", "joint-bilateral", "colorization", "planes")
-NETWORKS = ("swindrnet", "nlspn", "dfnet")
+NETWORKS = ("swindrnet", "nlspn", "dfnet", "compactdr")
 GOOD_M, SPOILED_M = 0.005, 0.010
 
 
