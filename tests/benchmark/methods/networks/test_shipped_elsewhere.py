@@ -1,9 +1,9 @@
 """What shipped weights do where nothing is wrong, and whether they look at the colour.
 
 Wanted of a restorer: the table in a hole of a table, within 5 mm, and a true colour that beats
-noise and another frame's by 30 % where glass has no depth. The shipped weights miss both: what
-they do is held here, and stated on their cards. Mended weights need the wanted value in place of
-the held one.
+noise and another frame's by 30 % where glass has no depth. CompactDR reaches the first; the others
+miss both: what they do is held here, and stated on their cards. Mended weights need the wanted
+value in place of the held one.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from benchmark import Restorer
-from benchmark.methods.depth.full_size import sensor_view
+from benchmark.methods.depth.full_size import sensor_view, working_size
 from benchmark.methods.registry import MethodOptions, make_restorer
 from std_toolkit.geometry.camera import Camera
 
 WANTED_MM, WANTED_GAIN = 5.0, 0.30
 
 # Median error in one round hole of a bare table, mm, by the diameter in shares of the width.
-HOLES = {0.04: (-62, -19, -6), 0.09: (-64, -40, -42), 0.2: (-80, -57, -90)}
+HOLES = {0.04: (-62, -19, -6, 0), 0.09: (-64, -40, -42, 0), 0.2: (-80, -57, -90, 0)}
 # By how much the true colour beats noise and another frame's on glass without depth.
-GAINS = {"noise": (0.18, 0.19, 0.35), "other": (-0.16, 0.05, -0.06)}
-METHODS = ("swindrnet", "dfnet", "nlspn")
+GAINS = {"noise": (0.18, 0.19, 0.35, 0.07), "other": (-0.16, 0.05, -0.06, 0.17)}
+METHODS = ("swindrnet", "dfnet", "nlspn", "compactdr")
 
 W, H, F = 640, 480, 613.0
 CAMERA = Camera(W, H, F, F, 319.5, 239.5)
@@ -73,7 +73,7 @@ def test_what_stands_in_a_hole_of_a_bare_table(method: str) -> None:
         hole = columns**2 + rows**2 < (share * W / 2) ** 2
         answer = restorer.restore(color, np.where(hole, 0, noisy), K).depth
         error = 1e3 * float(np.median((answer - table)[hole]))
-        if method not in METHODS:
+        if method not in METHODS or held[METHODS.index(method)] == 0:
             assert abs(error) < WANTED_MM, share
             continue
         assert error == pytest.approx(held[METHODS.index(method)], abs=5), share
@@ -96,7 +96,8 @@ def test_whether_colour_decides_on_glass_without_depth(method: str) -> None:
     for name, seen in colors.items():
         found = []
         for color, (_, true, glass) in zip(seen, scenes, strict=True):
-            view = sensor_view(color, np.where(glass, 0, true), CAMERA, restorer.input_size)
+            size = working_size(restorer, (W, H))
+            view = sensor_view(color, np.where(glass, 0, true), CAMERA, size)
             (answer,) = restorer.restore([view])
             whole = cv2.resize(answer.depth, (W, H), interpolation=cv2.INTER_NEAREST)
             found.append(float(np.sqrt(((whole - true)[glass] ** 2).mean())))
