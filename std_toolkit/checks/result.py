@@ -195,7 +195,7 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             standing_mm: height of the label above the plane on which other objects stand; `motion`
             puts it there.
             pose_mm, pose_deg: motion by all evidence; the text is the cause: "label", "shape",
-            "texture", "blind", "misled" or "".
+            "texture", "blind", "misled", "contradicted" or "".
             within: probability that the label lies within the limits; its text is the reason of the
             verdict on the pose.
             size_m: diagonal of the bounding box of the mesh.

@@ -117,7 +117,7 @@ class Weighed:
         verdict: fits, doubtful, wrong, or unknown.
         probability: that the pose lies within the limits.
         within_mm, within_deg: the same for the translation and the rotation alone.
-        cause: "label", "shape", "texture", "blind", "misled" or "".
+        cause: "label", "shape", "texture", "blind", "misled", "contradicted" or "".
         reason: in words.
         located: where the object is by the best explanation.
         apart: motion (6,) from the texture to the contour; None without both.
@@ -151,10 +151,13 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     verdict, cause = _verdict(total, best.at, scatter, options)
     misled = any(s.explanation == "misled" for s in sources)
     differing = _differing(sources, best.name)
-    # Where a contour that may be misled contradicts the support, neither is believed alone.
+    # Where a contour that may be misled contradicts the support, neither is believed alone; and
+    # sources that contradict each other for no known reason accuse no label that is likely right.
     likely = verdict == "doubtful" and total >= limits.misled
     if misled and (likely or (verdict == "fits" and differing)):
         verdict, cause = "unknown", "misled"
+    elif likely and differing and not best.name:
+        verdict, cause = "unknown", "contradicted"
     told = best.name in ("shape", "texture") and odds >= limits.noted_odds
     if verdict == "fits" and told and _is_noted(apart):
         cause = best.name

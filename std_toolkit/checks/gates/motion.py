@@ -21,6 +21,8 @@ from std_toolkit.checks.result import CheckWarning, ObjectCheck, Verdict
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
+# Causes for which a motion accuses no label.
+_EXCUSES = ("shape", "texture", "blind", "misled", "contradicted")
 _REFINE = "run `std-curate propagate --refine`, or correct the label in the annotator"
 
 
@@ -71,7 +73,7 @@ def _motion(part: Literal["mm", "deg"]) -> Callable[[ObjectCheck, Measured], Rea
         return Reading(
             value,
             found.located.along(where),
-            excuse=found.reason if found.cause in ("shape", "texture", "blind", "misled") else "",
+            excuse=found.reason if found.cause in _EXCUSES else "",
             verdict=verdict,
         )
 

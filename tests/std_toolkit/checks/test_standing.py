@@ -85,8 +85,9 @@ def item(
     standing_value: Value | None,
     mm: float,
     material: str = "transparent",
+    deg: float = 0.4,
 ) -> ObjectCheck:
-    covariance = np.diag([0.5**2, 0.5**2, mm**2, 0.4**2, 0.4**2, 0.4**2]).ravel().tolist()
+    covariance = np.diag([0.5**2, 0.5**2, mm**2, deg**2, deg**2, deg**2]).ravel().tolist()
     values = [
         Value(key="size_m", value=0.1, source="label"),
         Value(key="motion_mm", source="contour", motion=list(contour), covariance=covariance),
@@ -125,6 +126,33 @@ def test_a_contour_that_contradicts_the_plane_is_told() -> None:
         found = weigh(item([0] * 6, floats, 0.4, material), CheckOptions())
         assert found is not None and (found.verdict, found.cause) == ("unknown", "misled")
         assert "contour and support disagree by 9" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("contour", "support", "told"),
+    [
+        (6.5, -2.5, ("unknown", "contradicted")),  # likely right, and nobody knows
+        (6.5, -1.0, ("doubtful", "label")),  # no contradiction
+        (8.0, -2.0, ("doubtful", "label")),  # likely wrong
+        (9.0, -1.0, ("wrong", "label")),
+    ],
+)
+def test_sources_that_contradict_each_other_accuse_no_label_that_is_likely_right(
+    contour: float, support: float, told: tuple[str, str]
+) -> None:
+    """Tilts in degrees, by a contour of 1.3 deg and a plane of 2 deg."""
+    plane = Value(
+        key="standing_mm",
+        value=0.0,
+        source="support",
+        text="on the plane of 5 other objects",
+        motion=[0, 0, 0, support, 0, 0],
+        covariance=np.diag([1e4, 1e4, 0.36, 4.0, 4.0, 1e4]).ravel().tolist(),
+    )
+    seen_at = item([0.3, 0, 0.2, contour, 0, 0], plane, 0.5, "diffuse", deg=1.3)
+    found = weigh(seen_at, CheckOptions())
+    assert found is not None and (found.verdict, found.cause) == told
+    assert ("nothing explains it" in found.reason) == (contour - support >= 9)
 
 
 def test_the_cameras_tell_up_roughly() -> None:
