@@ -102,7 +102,7 @@ ADAM = Optimization(optimizer="adam", weight_decay=0.0, decay="steps")
 # Shares, of frames or of objects, that augmentation changes.
 AUGMENTATIONS = (
     "object_dropout", "copy_paste", "clear_gone", "clear_behind", "holes", "depth_noise",
-    "wrong_color",
+    "wrong_color", "patterns",
 )  # fmt: skip
 
 
@@ -129,6 +129,7 @@ class TrainConfig:
         holes: share of the frames with holes anywhere.
         wrong_color: share of the frames with noise or another frame's colour.
         depth_noise: share of the frames whose sensor depth has more noise.
+        patterns: share of the frames whose background has a random pattern of colour.
         sizes: of the frames, such as 224x126: each step draws one; empty for that of the pack.
         batch_norm: whether trained weights normalise by running means over the last batches, as
             published, or by statistics that are recomputed before each validation.
@@ -157,6 +158,7 @@ class TrainConfig:
     holes: float = 0.0
     wrong_color: float = 0.0
     depth_noise: float = 0.0
+    patterns: float = 0.0
     sizes: tuple[str, ...] = ()
     batch_norm: BatchNormStatistics = "running"
     validate_every: int

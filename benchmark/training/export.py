@@ -214,6 +214,8 @@ def _how(config: TrainConfig, best: BestScores, run: Path, note: RunNote) -> lis
                 "the continuation of the sensor's depth",
             )
         )
+    if config.patterns:
+        rows.append(("patterns on the background", f"in {config.patterns:g} of the frames"))
     if config.depth_noise:
         rows.append(("more noise of depth", f"in {config.depth_noise:g} of the frames"))
     if config.sizes:

@@ -120,6 +120,10 @@ class RestorerTraining(pl.LightningModule):
             from benchmark.training.augmentation.frames import moved
 
             inputs = moved(inputs)
+        if config.patterns:
+            from benchmark.training.augmentation.frames import with_patterns
+
+            inputs = inputs._replace(color=with_patterns(inputs, config.patterns))
         for change in self._change_color:
             inputs = inputs._replace(color=change(inputs.color))
         return self._with_other_depth(inputs)

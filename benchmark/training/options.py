@@ -94,6 +94,8 @@ class TrainOptions:
     depth_noise: Share = 0.0
     """share of the frames whose sensor depth has more noise, of pixels and of patches, up to 3 mm
     at 1 m, growing with the square of the distance"""
+    patterns: Share = 0.0
+    """share of the frames whose background has a pattern of colour, seen through glass, too"""
     sizes: tuple[Size, ...] = ()
     """sizes such as 224x126: each step draws one, and a part of the frames of its proportions"""
     batch_norm: BatchNormStatistics = "running"

@@ -1,4 +1,5 @@
-"""Augmentation of whole frames: turned, mirrored and enlarged, and with objects of others.
+"""Augmentation of whole frames: turned, mirrored and enlarged, with objects of others, on patterned
+floors.
 
 Geometry as published for NLSPN on indoor scenes: rotation, mirroring, enlargement.
 """
@@ -9,8 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, interpolate
 
-from benchmark.data.frame import BACKGROUND
-from benchmark.training.step import Batch, ModelInput
+from benchmark.data.frame import BACKGROUND, Material
+from benchmark.training.augmentation.holes import smooth_field
+from benchmark.training.step import Batch, ModelInput, made_of
 
 _PASTED = 127  # first instance id of pasted objects
 
@@ -202,3 +204,34 @@ def _sources(motion: Tensor, K: Tensor, h: int, w: int) -> Tensor:
     points = (torch.stack([u, v], dim=2) - centre) / focal
     back = torch.linalg.inv(motion)
     return torch.einsum("bij,bhwj->bhwi", back, points) * focal + centre
+
+
+# Sizes of the patches of a pattern, how hard their borders are, and how strong it is.
+_PATCHES_PX, _HARDNESS, _STRENGTH = (2, 4, 8, 16), (2.0, 20.0), (0.2, 0.9)
+_THROUGH, _BENT_PX = 0.7, 4  # of a pattern seen through glass, and by how much it is moved there
+
+
+@torch.no_grad()
+def with_patterns(inputs: ModelInput, share: float) -> Tensor:
+    """Colour (b, 3, h, w) with random patterns on the background of a share of the frames.
+
+    Simulated floors are plainer than real ones, on which a mask takes speckles for glass. Through
+    glass the pattern is seen weaker, and moved by up to 4 pixels.
+    """
+    color, mask = inputs.color, inputs.batch["mask"]
+    b, _, h, w = color.shape
+    on = color.device
+    sizes = [_PATCHES_PX[int(torch.randint(len(_PATCHES_PX), ()))] for _ in range(2)]
+    coarse, fine = (smooth_field(3 * b, h, w, on, size).reshape(b, 3, h, w) for size in sizes)
+    hard, strength = (
+        torch.empty(b, 1, 1, 1, device=on).uniform_(*limits) for limits in (_HARDNESS, _STRENGTH)
+    )
+    field = torch.sigmoid((0.6 * coarse + 0.4 * fine - 0.5) * hard)
+    chosen = torch.rand(b, 1, 1, 1, device=on) < share
+    apart = chosen * strength * (2 * field - 1)
+    glass = made_of(inputs.batch, Material.TRANSPARENT)[:, None]
+    moved = [int(torch.randint(-_BENT_PX, _BENT_PX + 1, ())) for _ in range(2)]
+    through = _THROUGH * apart.roll(moved, dims=(2, 3))
+    floor = (mask == BACKGROUND)[:, None]
+    apart = torch.where(floor, apart, torch.where(glass, through, 0.0))
+    return (color * (1 + apart)).clamp(0, 1)

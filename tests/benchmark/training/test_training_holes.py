@@ -16,7 +16,7 @@ from benchmark.training.augmentation.depth import (
     without_objects,
     wrong_color,
 )
-from benchmark.training.augmentation.frames import copy_paste, cropped, moved
+from benchmark.training.augmentation.frames import copy_paste, cropped, moved, with_patterns
 from benchmark.training.augmentation.holes import CAUSES, cut_holes, smooth_field
 from benchmark.training.options import TrainOptions
 from benchmark.training.step import ModelInput
@@ -84,6 +84,21 @@ def test_a_part_of_frames_at_another_size_shows_the_same_points(size: tuple[int,
     step = max(1.0, F / float(K[0, 0]))
     assert (1 / found.batch["true"][0] - 1 / plain)[on_table].abs().max() < 0.005 * step
     assert set(found.batch["mask"].unique().tolist()) <= {BOTTLE, BOX, BACKGROUND}
+
+
+def test_patterns_lie_on_the_floor_and_are_seen_through_glass() -> None:
+    inputs = frames(200)._replace(color=torch.full((200, 3, H, W), 0.5))
+    torch.manual_seed(0)
+    changed = with_patterns(inputs, 0.5)
+    apart = (changed - 0.5).abs().mean(dim=1)
+    mask = inputs.batch["mask"]
+    chosen = apart.flatten(1).amax(dim=1) > 0
+    assert chosen.float().mean() == pytest.approx(0.5, abs=0.1)
+    floor, glass, box = (apart[chosen][mask[chosen] == i] for i in (BACKGROUND, BOTTLE, BOX))
+    assert (box == 0).all()
+    assert 0.03 < float(floor.mean()) < 0.3
+    assert float(glass.mean()) == pytest.approx(0.7 * float(floor.mean()), rel=0.1)
+    assert ((changed >= 0) & (changed <= 1)).all()
 
 
 def test_noise_of_stereo_grows_with_the_square_of_the_distance() -> None:
