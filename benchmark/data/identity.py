@@ -17,7 +17,7 @@ import pandas as pd
 from benchmark.data.splits import FrameKey, Inputs
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
-from std_toolkit.io.documents import digest_file, digest_of
+from std_toolkit.io.documents import decode_document, digest_file, digest_of
 from std_toolkit.options import usable_cores
 
 # Columns of a table of content: index in the split, names of the frame, what was read, its digest.
@@ -52,8 +52,8 @@ class Digests:
         self.path = path
         self._new = False
         try:
-            self._kept = msgspec.json.decode(path.read_bytes(), type=dict[str, _Kept])
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            self._kept = decode_document(path.read_bytes(), dict[str, _Kept], path=path)
+        except (OSError, ToolkitError):
             self._kept = {}
 
     def of(self, paths: Iterable[Path]) -> dict[Path, str]:

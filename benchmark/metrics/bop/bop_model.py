@@ -96,7 +96,18 @@ def read_model(root: Path, obj_id: int, *, symmetry_steps: int | None = None) ->
 
 
 def model_paths(root: Path, objects: Iterable[int]) -> list[Path]:
-    """Return the files that `read_model` reads for these objects, which need not exist."""
+    """The files that `read_model` reads for objects.
+
+    Args:
+        root: folder of the data set.
+        objects: their numbers.
+
+    Returns:
+        Paths, which need not exist: the table of the models, and a mesh for each object.
+
+    >>> [path.name for path in model_paths(Path("lmo"), [5])]
+    ['models_info.json', 'obj_000005.ply']
+    """
     folder = root / ("models_eval" if (root / "models_eval").is_dir() else "models")
     return [folder / "models_info.json", *(folder / f"obj_{number:06d}.ply" for number in objects)]
 

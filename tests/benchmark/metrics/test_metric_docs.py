@@ -33,6 +33,7 @@ NEVER_RAISE = {
     "holm",
     "largest_distance",
     "lowest_points",
+    "model_paths",
     "most_estimates",
     "namespace",
     "needed_friction",
