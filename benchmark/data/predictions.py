@@ -48,6 +48,11 @@ _NEAR = 1.15
 _LARGEST_HEADER = 200
 
 
+def _at_most_one(found: Sequence[Path], problem: str, hint: str) -> None:
+    if len(found) > 1:
+        raise ToolkitError(problem, path=found[0], value=str(found[1]), hint=hint)
+
+
 def unit_of(text: str) -> float:
     """Return metres per number of a unit: m, cm, mm, 0.1mm, or the number itself.
 
@@ -202,13 +207,7 @@ class DepthFolder:
                     hint="put the files in a folder for each scene: SCENE/FRAME.png",
                 )
             found += flat
-        if len(found) > 1:
-            raise ToolkitError(
-                "two files could be the depth of the frame",
-                path=found[0],
-                value=str(found[1]),
-                hint="leave one of them",
-            )
+        _at_most_one(found, "two files could be the depth of the frame", "leave one of them")
         return found[0] if found else own
 
     def read(self, key: FrameKey) -> NDArray[np.float32]:
@@ -241,13 +240,8 @@ class DepthFolder:
             for place in self._below(self.folder, _DEEPEST):
                 self._scenes.setdefault(place.name, []).append(place)
         found = self._scenes.get(scene, [])
-        if len(found) > 1:
-            raise ToolkitError(
-                "two folders of this scene",
-                path=found[0],
-                value=str(found[1]),
-                hint="name the folder of one method on one data set",
-            )
+        hint = "name the folder of one method on one data set"
+        _at_most_one(found, "two folders of this scene", hint)
         return found
 
     def _below(self, folder: Path, levels: int) -> Iterator[Path]:

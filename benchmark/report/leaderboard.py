@@ -184,9 +184,9 @@ def make_board(
             )  # fmt: skip
             continue
         here = [r for r in results if (r.place, r.manifest.setup.protocol) == (split, protocol)]
-        lacking = unanswered(here)
+        missing = unanswered(here)
         means["unanswered"] = means["method"].map(
-            {r.manifest.label: lacking[r.title] for r in here}
+            {r.manifest.label: missing[r.title] for r in here}
         )
         parts.append(_with_significance(means, one))
     if not parts:

@@ -79,6 +79,8 @@ class Looked(NamedTuple):
         answer: (b, 1, h, w) metres: the continuation, or what is moved, as `off` says.
         depth: (b, 1, h, w) metres: the sensor where it is trusted, the answer elsewhere.
         spread: (b, 1, h, w) metres, scale of the Laplace density of the error of `depth`.
+        clear: (b, 1, h, w) probability of glass or metal.
+        believed: (b, 1, h, w) trust in a measurement, which is doubted on glass and metal alone.
     """
 
     masks: Tensor
@@ -91,6 +93,8 @@ class Looked(NamedTuple):
     answer: Tensor
     depth: Tensor
     spread: Tensor
+    clear: Tensor
+    believed: Tensor
 
 
 class CompactDRNetwork(nn.Module):
@@ -152,10 +156,9 @@ class CompactDRNetwork(nn.Module):
             depth: (b, 1, h, w) metres, 0 where the sensor measured nothing.
         """
         found = self.look(color, depth)
-        clear = found.masks.sigmoid().amax(dim=1, keepdim=True)
-        trust = (1 - (1 - found.trust.sigmoid()) * decided(clear)) * (depth > 0)
+        trust = found.believed * (depth > 0)
         # The standard deviation of a Laplace density of this scale.
-        return Prediction(found.depth, found.answer, trust, 2**0.5 * found.spread, clear)
+        return Prediction(found.depth, found.answer, trust, 2**0.5 * found.spread, found.clear)
 
     def look(self, color: Tensor, depth: Tensor) -> Looked:
         """All that the network says of an image; arguments as of `forward`."""
@@ -166,16 +169,17 @@ class CompactDRNetwork(nn.Module):
         masks = _enlarged(precisely(self.clear, self._of_mask(of_color)), depth)
         maps = _enlarged(precisely(self.head, features), depth)
         edges, normals, trust = maps.split([EDGES, NORMALS, 1], dim=1)
-        clear = decided(masks.sigmoid().amax(dim=1, keepdim=True))
-        believed = 1 - (1 - trust.sigmoid()) * clear
+        clear = masks.sigmoid().amax(dim=1, keepdim=True)
+        in_mask = decided(clear)
+        believed = 1 - (1 - trust.sigmoid()) * in_mask
         base, off, moved, spread = self._answer(features, depth, believed)
-        raised = off.sigmoid() * clear
+        raised = off.sigmoid() * in_mask
         answer = base * (1 - raised) + moved * raised
         kept = decided(believed) * (depth > 0)
         final = kept * depth + (1 - kept) * answer
         found = Looked(
             masks, edges, _unit(normals), trust, off, base, moved, answer, final,
-            answer * spread.clamp(*_SPREADS).exp(),
+            answer * spread.clamp(*_SPREADS).exp(), clear, believed,
         )  # fmt: skip
         return Looked(*(one[..., :h, :w] for one in found))
 

@@ -61,17 +61,17 @@ def dump_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
 
 def _table(name: str, results: Sequence[DumpResult]) -> tuple[Table, DumpResult | None]:
     """The table of one data set, and the best dump that answers every image."""
-    lacking = unanswered(results)
-    ordered = sorted(results, key=lambda r: (lacking[r.title] > 0, -r.figures.ap[0]))
-    ranked = [r for r in ordered if not lacking[r.title]]
+    missing = unanswered(results)
+    ordered = sorted(results, key=lambda r: (missing[r.title] > 0, -r.figures.ap[0]))
+    ranked = [r for r in ordered if not missing[r.title]]
     best = {n: max((_value(r, n) for r in ranked), default=0.0) for n in _FIGURES}
     rows = []
     for result in ordered:
-        lacks = lacking[result.title]
-        more = f" ({lacks} unanswered)" if lacks else ""
+        count = missing[result.title]
+        more = f" ({count} unanswered)" if count else ""
         cells = [
             Cell(text=result.manifest.label),
-            Cell(text=f"{result.figures.images}{more}", mark="bad" if lacks else ""),
+            Cell(text=f"{result.figures.images}{more}", mark="bad" if count else ""),
         ]
         for column in _COLUMNS:
             figure = getattr(result.figures, column.name)
@@ -79,7 +79,7 @@ def _table(name: str, results: Sequence[DumpResult]) -> tuple[Table, DumpResult 
                 cells.append(Cell(text=NONE))
                 continue
             value, low, high = figure
-            is_best = not lacks and value == best[column.name] > 0
+            is_best = not count and value == best[column.name] > 0
             mark = "best" if is_best else ""
             cells.append(column.cell(value, interval=(low, high), mark=mark))  # type: ignore[arg-type]
         rows.append(Row(cells))
@@ -104,7 +104,7 @@ def _rows(groups: dict[str, list[DumpResult]]) -> pd.DataFrame:
     """A row for each dump, as fractions."""
     rows = []
     for results in groups.values():
-        lacking = unanswered(results)
+        missing = unanswered(results)
         for result in results:
             setup, figures = result.manifest.setup, result.figures
             row: dict[str, object] = {
@@ -113,7 +113,7 @@ def _rows(groups: dict[str, list[DumpResult]]) -> pd.DataFrame:
                 "contacts": setup.contacts,
                 "grasps": result.manifest.label,
                 "images": figures.images,
-                "unanswered": lacking[result.title],
+                "unanswered": missing[result.title],
             }
             for name in _FIGURES:
                 figure = getattr(figures, name) or (float("nan"),) * 3

@@ -226,12 +226,12 @@ def make_pose_board(
     rows, details, compared = [], {}, {}
     for split in dict.fromkeys(result.split for result in ordered):
         mine = [result for result in ordered if result.split == split]
-        lacking = unanswered(mine)
+        missing = unanswered(mine)
         for name in PROTOCOLS:
             protocol = get_pose_protocol(name)
             for subset in TABLES:
                 scored = pose_results.score_runs(mine, protocol, (subset,), samples=samples)
-                rows += [_row(each, name, lacking[each.result.title]) for each in scored]
+                rows += [_row(each, name, missing[each.result.title]) for each in scored]
                 if name == PROTOCOLS[0]:
                     compared[split, subset] = _against_raw(scored, samples)
         first = get_pose_protocol(PROTOCOLS[0])
@@ -252,7 +252,7 @@ def _place(result: pose_results.PoseResult) -> tuple[int, str]:
     return (0 if depth == RAW else 2 if depth == TRUE else 1, result.name[1])
 
 
-def _row(scored: pose_results.Scored, protocol: str, lacking: int) -> dict[str, object]:
+def _row(scored: pose_results.Scored, protocol: str, missing: int) -> dict[str, object]:
     method, depth, fit = scored.result.name
     row: dict[str, object] = {
         "split": scored.result.split,
@@ -266,7 +266,7 @@ def _row(scored: pose_results.Scored, protocol: str, lacking: int) -> dict[str, 
         "frames": len(scored.scenes),
         "scenes": scored.scene_count,
         "failed": scored.result.failed,
-        "unanswered": lacking,
+        "unanswered": missing,
         "provenance": str(scored.result.data.provenance),
     }
     for column, value in scored.figures.items():
