@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from sensors.lighting.environment import Split, files_of_split
-from sensors.materials.material_draw import DrawnMaterial, draw_material
+from sensors.materials.material_draw import DrawnMaterial, collage, draw_material
 from sensors.materials.material_library import load_library
 
 # Strength of the environment in colour and in infrared (most of it filtered out) in DREDS.
@@ -117,6 +117,15 @@ def draw_floor(
     # A floor has a texture of its own only if it has an image.
     material = msgspec.structs.replace(material, texture=texture, own_share=share)
     return FloorDraw(material=material, image=image, image_tile_m=tile)
+
+
+# Of busy floors: a tile of the pattern.
+BUSY_TILE_M = (0.2, 1.2)
+
+
+def busy(rng: np.random.Generator, floor: FloorDraw) -> FloorDraw:
+    """The floor with a pattern of many colours, as of carpets, posters and stone; no image."""
+    return FloorDraw(material=collage(rng, floor.material, BUSY_TILE_M))
 
 
 SettingKind = Literal["plane", "table", "room"]

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from sensors.materials import material_library
@@ -134,6 +135,25 @@ def draw_material(
     if isinstance(chosen, material_library.GlassMaterial):
         return _draw_glass(rng, chosen)
     return _draw_opaque(rng, chosen, library, textured=textured)
+
+
+def collage(
+    rng: np.random.Generator, material: DrawnMaterial, tile_m: tuple[float, float]
+) -> DrawnMaterial:
+    """The material under a printed pattern of many colours, which hides 40 to 100 % of its own.
+
+    Args:
+        rng: consumed.
+        material: opaque.
+        tile_m: limits of the pattern's extent, metres.
+    """
+    texture = DrawnTexture(
+        kind="collage",
+        tile_m=float(rng.uniform(*tile_m)),
+        contrast=float(rng.uniform(0.4, 1.0)),
+        seed=int(rng.integers(2**31)),
+    )
+    return msgspec.structs.replace(material, texture=texture, own_share=0.0)
 
 
 def _draw_opaque(

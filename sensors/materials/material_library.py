@@ -22,6 +22,7 @@ MATERIAL_CLASSES: tuple[MaterialClass, ...] = ("raw", "diffuse", "transparent", 
 TextureKind = Literal[
     "brushed",
     "checks",
+    "collage",
     "grain",
     "leather",
     "marble",

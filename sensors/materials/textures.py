@@ -1,4 +1,4 @@
-"""Procedural textures as images that tile: wood, fabric, leather, paper, marble and the like.
+"""Procedural textures as images that tile: wood, fabric, leather, paper, marble, print.
 
 Every pattern consists of periodic components (noise filtered in the Fourier domain, whole numbers
 of waves), so that tiles join without a seam.
@@ -33,8 +33,8 @@ def make_texture(
     """
     rng = np.random.default_rng(texture.seed)
     tint = np.asarray(color, np.float32)
-    if texture.kind == "print":
-        linear = _print(rng, tint, texture.contrast, size)
+    if texture.kind in _COLORED:
+        linear = _COLORED[texture.kind](rng, tint, texture.contrast, size)
     else:
         shade = _PATTERNS[texture.kind](rng, size)
         shade = (shade - shade.mean()) / max(float(np.abs(shade).max()), 1e-6)
@@ -186,6 +186,84 @@ def _print(rng: np.random.Generator, tint: Field, contrast: float, size: int) ->
     return image
 
 
+def _collage(rng: np.random.Generator, tint: Field, contrast: float, size: int) -> Field:
+    """Colours of their own in one of five patterns, as of carpets, posters and stone."""
+    colors = rng.uniform(0, 1, (int(rng.integers(2, 8)), 3)).astype(np.float32) ** 2
+    # Most prints and carpets are duller than colours drawn by chance.
+    grey = colors.mean(axis=1, keepdims=True)
+    colors = np.asarray(grey + rng.uniform(0, 1) ** 2 * (colors - grey), np.float32)
+    layout = (_leaves, _blobs, _mosaic, _terrazzo, _text)[int(rng.integers(5))]
+    image = layout(rng, colors, size)
+    shade = 1 + rng.uniform(0, 0.2) * tiling_noise(rng, size, slope=float(rng.uniform(0.3, 1.5)))
+    return np.asarray(tint + contrast * (image * shade[..., None] - tint), dtype=np.float32)
+
+
+def _leaves(rng: np.random.Generator, colors: Field, size: int) -> Field:
+    """Shapes over each other with radii that fall by a power law, as in natural images [1]_.
+
+    .. [1] Lee, Mumford and Huang, "Occlusion models for natural images", IJCV 41 (2001).
+    """
+    image = np.ones((size, size, 3), np.float32) * colors[0]
+    low, high = float(rng.uniform(0.01, 0.05)), float(rng.uniform(0.1, 0.35))
+    for _ in range(int(rng.integers(40, 300))):
+        # Density of radii ~ r^-3 between the limits.
+        u = rng.random()
+        radius = size / np.sqrt(u / low**2 + (1 - u) / high**2)
+        axes = (max(1, int(radius)), max(1, int(radius * rng.uniform(0.3, 1))))
+        layer = np.zeros((size, size), np.uint8)
+        middle = (size // 2, size // 2)
+        if rng.random() < 0.5:
+            cv2.ellipse(layer, middle, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
+        else:
+            box = (middle, (2.0 * axes[0], 2.0 * axes[1]), float(rng.uniform(0, 180)))
+            cv2.fillPoly(layer, [cv2.boxPoints(box).astype(np.int32)], 1)
+        rows, columns = np.nonzero(layer)
+        x, y = rng.integers(0, size, 2)
+        color = colors[int(rng.integers(len(colors)))] * rng.uniform(0.6, 1.2)
+        image[(rows + y) % size, (columns + x) % size] = color
+    return image
+
+
+def _blobs(rng: np.random.Generator, colors: Field, size: int) -> Field:
+    noise = tiling_noise(rng, size, slope=float(rng.uniform(0.8, 2.2)))
+    borders = np.quantile(noise, np.sort(rng.random(len(colors) - 1)))
+    return colors[np.digitize(noise, borders)]
+
+
+def _mosaic(rng: np.random.Generator, colors: Field, size: int) -> Field:
+    rows, columns = (int(n) for n in rng.integers(2, 24, 2))
+    tiles = rng.integers(len(colors), size=(rows, columns)).astype(np.uint8)
+    return colors[cv2.resize(tiles, (size, size), interpolation=cv2.INTER_NEAREST)]
+
+
+def _terrazzo(rng: np.random.Generator, colors: Field, size: int) -> Field:
+    from scipy.spatial import cKDTree
+
+    count = int(rng.integers(30, 600))
+    tree = cKDTree(rng.random((count, 2)), boxsize=1.0)
+    axis = (np.arange(size) + 0.5) / size
+    _, nearest = tree.query(np.stack(np.meshgrid(axis, axis), axis=-1))
+    return colors[rng.integers(len(colors), size=count)[nearest]]
+
+
+def _text(rng: np.random.Generator, colors: Field, size: int) -> Field:
+    """Lines of letters of several sizes, whole ones."""
+    ink, y = np.zeros((size, size), np.uint8), 0
+    while (y := y + int(size * rng.uniform(0.03, 0.2))) < size - 8:
+        scale = size / 256 * float(rng.uniform(0.2, 1.5))
+        letters = "".join(chr(int(c)) for c in rng.integers(33, 127, 80))
+        color, bold = int(rng.integers(len(colors))), max(1, int(scale * rng.uniform(1, 4)))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        wide = cv2.getTextSize(letters, font, scale, bold)[0][0]
+        fitting = letters[: int(len(letters) * 0.95 * size / wide)]
+        cv2.putText(ink, fitting, (2, y), font, scale, color, bold)
+    return colors[ink]
+
+
+_COLORED: dict[TextureKind, Callable[[np.random.Generator, Field, float, int], Field]] = {
+    "collage": _collage,
+    "print": _print,
+}
 _PATTERNS: dict[TextureKind, Callable[[np.random.Generator, int], Field]] = {
     "brushed": _brushed,
     "checks": _checks,

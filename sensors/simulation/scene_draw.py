@@ -17,6 +17,7 @@ from sensors.lighting.environment import EnvironmentMap
 from sensors.lighting.environment_sources import EnvironmentSource
 from sensors.materials.material_draw import (
     DrawnMaterial,
+    collage,
     draw_liquid,
     draw_material,
     draw_material_class,
@@ -63,6 +64,10 @@ CLEAR_SHARES: dict[MaterialClass, float] = {
     "transparent": 0.5,
     "specular": 0.15,
 }
+# Share of their floors and walls with a pattern of many colours: no pattern may be taken for glass.
+BUSY_SHARE = 0.6
+# Share of their opaque objects with such a pattern, and its tile.
+PRINTED_SHARE, PRINT_TILE_M = 0.3, (0.03, 0.3)
 # In every scene of DREDS, and the only categories that may be transparent.
 ALWAYS = ("bottle", "bowl", "mug")
 SOMETIMES = ("camera", "can", "car", "aeroplane")
@@ -212,6 +217,9 @@ def dress_scene(
             diagonal_m=draw_diagonal(sizes, asset),
             material=draw_material(rng, material_class, textured=asset.texture is not None),
         )
+        opaque = material_class in ("raw", "diffuse")
+        if options.materials == "clear" and opaque and own.random() < PRINTED_SHARE:
+            drawn = replace(drawn, material=collage(own, drawn.material, PRINT_TILE_M))
         objects.append(drawn if drawn.material.glass is None else with_parts(own, drawn, asset))
     # Views along a path are a recording: only its camera moves.
     still = options.order != "random"
@@ -227,10 +235,14 @@ def dress_scene(
     floors = [
         light_draw.draw_floor(rng, folder=options.floors, split=options.split) for _ in range(count)
     ]
+    if options.materials == "clear":
+        floors = [light_draw.busy(rng, f) if rng.random() < BUSY_SHARE else f for f in floors]
     rng = generator(seed, "color", options)
     color = [] if still else [draw_response(rng) for _ in range(views)]
     rng = generator(seed, "setting", options)
     setting = light_draw.draw_setting(rng, folder=options.floors, split=options.split)
+    if options.materials == "clear" and setting.wall is not None and rng.random() < BUSY_SHARE:
+        setting = replace(setting, wall=light_draw.busy(rng, setting.wall))
     rng = np.random.default_rng(int(generator(seed, "drop", options).integers(2**31)) + 1)
     piled = rng.random() < PILED_SHARE
     spread = float(rng.uniform(*PILE_M)) if piled else None

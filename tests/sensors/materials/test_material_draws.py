@@ -163,10 +163,18 @@ def test_textures_tile_and_keep_their_colour(kind) -> None:
     steps = np.abs(np.diff(image.astype(int), axis=1)).mean()
     seam = np.abs(image[:, 0].astype(int) - image[:, -1]).mean()
     assert seam < 4 * steps + 2
-    if kind != "print":  # prints have inks of their own
+    if kind not in ("print", "collage"):  # they have inks of their own
         np.testing.assert_allclose(to_linear(image).mean(axis=(0, 1)), color, rtol=0.12)
     flat = make_texture(msgspec.structs.replace(texture, contrast=0.0), color)
     assert np.ptp(flat.reshape(-1, 3), axis=0).max() <= 1
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_collage_has_a_few_colours_of_its_own(seed) -> None:
+    texture = DrawnTexture(kind="collage", tile_m=0.1, contrast=1.0, seed=seed)
+    image = make_texture(texture, (0.5, 0.5, 0.5))
+    assert image.astype(int).reshape(-1, 3).std(axis=0).max() > 4
+    assert 1 < len(np.unique(image.reshape(-1, 3) // 32, axis=0)) < 120
 
 
 def test_srgb_round_trip_and_noise_statistics() -> None:

@@ -197,6 +197,22 @@ def test_half_of_clear_scenes_is_glass_whatever_the_category() -> None:
     ]
 
 
+def test_floors_of_clear_scenes_are_busy() -> None:
+    options = msgspec.structs.replace(OPTIONS, views=4)
+
+    def kinds(materials: str) -> list[str]:
+        of = msgspec.structs.replace(options, materials=materials)
+        floors = [f.material.texture for seed in range(20) for f in drawn(seed, of).floors]
+        return ["" if texture is None else texture.kind for texture in floors]
+
+    assert 0.45 < kinds("clear").count("collage") / 80 < 0.75
+    plain = kinds("mixed")
+    assert "collage" not in plain
+    # The other floors are those of the other scenes.
+    both = zip(kinds("clear"), plain, strict=True)
+    assert all(a == b for a, b in both if a != "collage")
+
+
 def test_objects_stand_in_half_of_mixed_scenes() -> None:
     def upright(poses: str) -> list[bool]:
         options = msgspec.structs.replace(OPTIONS, views=1, object_poses=poses)
