@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import nn
@@ -44,6 +44,8 @@ class Optimization:
             add up to `epochs`; of another number of epochs each has the same share. `decay` and
             warm-up are each phase's own.
         phase_rates: by what the learning rate is multiplied in phases, if not by 1.
+        encoder_rate: by what it is multiplied for the network's `encoder`, which begins with
+            weights of a classifier.
     """
 
     optimizer: Literal["adam", "adamw", "sgd"] = "adamw"
@@ -60,9 +62,18 @@ class Optimization:
     warmup_share: float = 0.0
     phase_epochs: Mapping[str, int] = field(default_factory=dict)
     phase_rates: Mapping[str, float] = field(default_factory=dict)
+    encoder_rate: float = 1.0
 
-    def make(self, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
-        """The optimizer of these parameters."""
+    def make(self, network: nn.Module) -> torch.optim.Optimizer:
+        """The optimizer of the network's parameters."""
+        parameters: Iterable[nn.Parameter] | list[dict[str, Any]] = network.parameters()
+        if self.encoder_rate != 1:
+            rate = self.encoder_rate * self.learning_rate
+            encoder = {id(p) for p in network.get_submodule("encoder").parameters()}
+            parameters = [
+                {"params": [p for p in network.parameters() if id(p) in encoder], "lr": rate},
+                {"params": [p for p in network.parameters() if id(p) not in encoder]},
+            ]
         if self.optimizer == "sgd":
             return torch.optim.SGD(
                 parameters, self.learning_rate, self.momentum, weight_decay=self.weight_decay

@@ -95,7 +95,7 @@ class RestorerTraining(pl.LightningModule):
 
     def configure_optimizers(self) -> Any:
         config = self.config
-        optimizer = config.optimization.make(self.network.parameters())
+        optimizer = config.optimization.make(self.network)
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: config.rate(step) / config.optimization.learning_rate
         )

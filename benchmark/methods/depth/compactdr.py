@@ -29,6 +29,11 @@ from benchmark.methods.resnet import convolution
 
 _MULTIPLE = 32  # of the encoder
 
+SPREAD_KINDS = ("measured", "continued", "glass or metal")
+
+MASK_PARTS = ("of_color", "mask_at", "mask", "clear")
+"""Parts after the encoder that see colour alone."""
+
 # What the heads answer, beside features of the residual.
 MASKS, EDGES, NORMALS = 2, 3, 3
 
@@ -56,7 +61,7 @@ class CompactDRConfig:
 
     depth_channels: tuple[int, int, int, int, int] = (16, 24, 32, 64, 96)
     channels: tuple[int, int, int, int, int] = (32, 48, 64, 96, 128)
-    mask_channels: int = 32
+    mask_channels: int = 48
     group: int = 8
     longest: int = 320
     input_size: tuple[int, int] | None = None
@@ -124,6 +129,7 @@ class CompactDRNetwork(nn.Module):
         # A hole in the depth is no glass: the mask sees colour alone.
         width = config.mask_channels
         self.of_color = nn.ModuleList(nn.Conv2d(color, width, 1) for color in CHANNELS)
+        self.mask_at = nn.ModuleList(_grouped(width, width, group) for _ in CHANNELS[1:])
         self.mask = nn.Sequential(_grouped(width, width, group), _grouped(width, width, group))
         self.clear = nn.Conv2d(width, MASKS, 1)
         # The residual sees the continuation, and the sensor's difference from it.
@@ -132,6 +138,8 @@ class CompactDRNetwork(nn.Module):
             _grouped(widths[0], widths[0], group, dilation=d) for d in (2, 4, 8, 1)
         )
         self.last = nn.Conv2d(widths[0], 3, 1)
+        # By what spreads of `SPREAD_KINDS` are too small, as a logarithm; of validation frames.
+        self.register_buffer("too_small", torch.zeros(len(SPREAD_KINDS)))
         self._begin()
 
     def _begin(self) -> None:
@@ -160,6 +168,17 @@ class CompactDRNetwork(nn.Module):
         # The standard deviation of a Laplace density of this scale.
         return Prediction(found.depth, found.answer, trust, 2**0.5 * found.spread, found.clear)
 
+    def masks(self, color: Tensor) -> Tensor:
+        """(b, 2, h, w) logits of glass and metal, which colour alone decides."""
+        padded = padded_to(color, _MULTIPLE)
+        found = precisely(self.clear, self._of_mask(self.encoder(padded)))
+        return _enlarged(found, padded)[..., : color.shape[2], : color.shape[3]]
+
+    def train_parts(self, names: Sequence[str]) -> None:
+        """Let these of the network's parts learn, and nothing else."""
+        for name, module in self.named_children():
+            module.requires_grad_(name in names)
+
     def look(self, color: Tensor, depth: Tensor) -> Looked:
         """All that the network says of an image; arguments as of `forward`."""
         h, w = depth.shape[-2:]
@@ -177,9 +196,13 @@ class CompactDRNetwork(nn.Module):
         answer = base * (1 - raised) + moved * raised
         kept = decided(believed) * (depth > 0)
         final = kept * depth + (1 - kept) * answer
+        spread = spread.clamp(*_SPREADS)
+        if not self.training:
+            kinds = torch.cat([kept, (1 - kept) * (1 - in_mask), (1 - kept) * in_mask], dim=1)
+            spread = spread + (kinds * self.too_small[:, None, None]).sum(dim=1, keepdim=True)
         found = Looked(
             masks, edges, _unit(normals), trust, off, base, moved, answer, final,
-            answer * spread.clamp(*_SPREADS).exp(), clear, believed,
+            answer * spread.exp(), clear, believed,
         )  # fmt: skip
         return Looked(*(one[..., :h, :w] for one in found))
 
@@ -187,8 +210,8 @@ class CompactDRNetwork(nn.Module):
         """(b, c, h / 2, w / 2) of colour, for the mask."""
         levels = [one(each) for one, each in zip(self.of_color, of_color, strict=True)]
         found = levels[-1] + levels[-1].mean(dim=(2, 3), keepdim=True)
-        for finer in reversed(levels[:-1]):
-            found = finer + _enlarged(found, finer)
+        for layer, finer in zip(reversed(self.mask_at), reversed(levels[:-1]), strict=True):
+            found = finer + _enlarged(found + layer(found), finer)
         return self.mask(found)
 
     def _features(self, of_color: Sequence[Tensor], depth: Tensor) -> Tensor:

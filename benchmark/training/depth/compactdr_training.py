@@ -1,17 +1,25 @@
 """Training of CompactDR: what each of its answers should be, and the loss."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
-from benchmark.data.frame import Material
-from benchmark.methods.depth.compactdr import CompactDRNetwork, Looked
+from benchmark.data.frame import BACKGROUND, Material
+from benchmark.methods.depth.compactdr import MASK_PARTS, CompactDRNetwork, Looked
 from benchmark.training import step
+from benchmark.training.augmentation import depth, holes
 from benchmark.training.depth.cleargrasp_losses import IGNORED, Outlines, outlines_of
 from benchmark.training.depth.depth_losses import sobel, whole_around
+from benchmark.training.validation import DepthValidator, evaluating
+
+# Phases: the mask of colour with the encoder as it is, both, and what sees depth too with both as
+# they are.
+MASK, ENCODER, DEPTH = "mask", "encoder", "depth"
 
 # Weights of classes of edges: none, occlusion, contact. Most pixels are of none.
 _EDGE_WEIGHTS = (1.0, 5.0, 5.0)
@@ -91,7 +99,7 @@ class CompactDRLoss:
             "depth": self._of_depth(looked.depth, true, weight),
             "answer": self._of_depth(looked.answer, true, weight),
             "moved": self._of_depth(looked.moved, true, weight * is_clear),
-            "masks": self._of_masks(looked.masks, target.masks),
+            "masks": self.of_masks(looked.masks, target.masks),
             "edges": self._of_edges(looked.edges, target.outlines),
             "normals": self._of_normals(looked.normals, target.outlines),
         }
@@ -117,7 +125,7 @@ class CompactDRLoss:
         near = error.clamp(max=_FAR)
         return step.weighted_mean(error + near * (2 * error - near) / _USUAL, weight)
 
-    def _of_masks(self, masks: Tensor, wanted: Tensor) -> Tensor:
+    def of_masks(self, masks: Tensor, wanted: Tensor) -> Tensor:
         """Cross entropy, and one less the soft Dice overlap: glass is a small part of images."""
         entropy = binary_cross_entropy_with_logits(masks, wanted)
         said = masks.sigmoid()
@@ -156,21 +164,85 @@ def compactdr_target(
     batch: step.Batch, loss: CompactDRLoss, sensor: Tensor | None = None
 ) -> CompactDRTarget:
     """What the network should say of a batch, whose depth the network saw as `sensor`."""
-    masks = [step.made_of(batch, one) for one in (Material.TRANSPARENT, Material.SPECULAR)]
     outlines = outlines_of(batch["true"][:, None], batch["mask"], batch["K"], loss.gap)
     return CompactDRTarget(
-        step.target_of(batch)._replace(sensor=sensor), torch.stack(masks, dim=1).float(), outlines
+        step.target_of(batch)._replace(sensor=sensor), clear_masks(batch), outlines
     )
 
 
+class CompactDRValidator(DepthValidator):
+    """Sets how far spreads are too small by the frames of validation, then validates."""
+
+    def states(self, network: nn.Module, *args: Any, **options: Any) -> np.ndarray:
+        calibrate(cast(CompactDRNetwork, network), self._batches())
+        return super().states(network, *args, **options)
+
+    def _batches(self) -> Iterator[step.Batch]:
+        for begin in range(0, len(self.chosen), self.batch):
+            yield self.frames[list(self.chosen[begin : begin + self.batch])]
+
+
+WITHIN = 0.68
+"""Share of the errors that one spread, a standard deviation, should hold."""
+_GONE, _BEHIND = 0.4, 0.4  # of glass and metal, while spreads are measured
+_SAMPLE, _MOST = 20000, 20.0  # pixels of a batch and kind; largest factor
+
+
+@torch.no_grad()
+def calibrate(network: CompactDRNetwork, batches: Iterable[step.Batch]) -> None:
+    """Set `network.too_small`, so that `WITHIN` of the errors of each kind lie within one spread.
+
+    The frames get holes anywhere, and glass and metal lose their depth or have that of what is
+    behind, the same ones each time.
+    """
+    network.too_small.zero_()
+    on = network.too_small.device
+    found: list[list[Tensor]] = [[], [], []]
+    with evaluating(network), torch.random.fork_rng():
+        torch.manual_seed(0)
+        for batch in batches:
+            inputs = step.model_input({name: t.to(on) for name, t in batch.items()})
+            true = inputs.batch["true"]
+            scene = depth.without_objects(true, inputs.batch["mask"] != BACKGROUND)
+            inputs = inputs._replace(depth=depth.clear_depth(inputs, _GONE, _BEHIND, scene))
+            inputs = inputs._replace(depth=holes.cut_holes(inputs, 1.0))
+            looked = network.look(inputs.color, inputs.depth)
+            apart = (looked.depth - true[:, None]).abs() / (2**0.5 * looked.spread)
+            kept = (looked.believed > 0.5) & (inputs.depth > 0)
+            glass = ~kept & (looked.clear > 0.5)
+            for values, kind in zip(found, (kept, ~kept & ~glass, glass), strict=True):
+                chosen = apart[kind & (true[:, None] > 0)]
+                values.append(chosen[:: max(1, len(chosen) // _SAMPLE)])
+    for number, values in enumerate(found):
+        together = torch.cat(values) if values else torch.zeros(0)
+        if len(together):
+            ratio = together.quantile(WITHIN).clamp(1 / _MOST, _MOST)
+            network.too_small[number] = ratio.log()
+
+
+def clear_masks(batch: step.Batch) -> Tensor:
+    """(b, 2, h, w) float, 1 on glass and on metal."""
+    made = [step.made_of(batch, one) for one in (Material.TRANSPARENT, Material.SPECULAR)]
+    return torch.stack(made, dim=1).float()
+
+
 def compactdr_step(
-    network: nn.Module,
-    loss: Any,
-    inputs: step.ModelInput,
-    step_info: step.StepInfo,  # noqa: ARG001
+    network: nn.Module, loss: Any, inputs: step.ModelInput, step_info: step.StepInfo
 ) -> step.Loss:
-    """The step of a network that answers with `Looked`."""
-    looked = cast(CompactDRNetwork, network).look(inputs.color, inputs.depth)
+    """The step of a network that answers with `Looked`, or before the phase `depth` with masks."""
+    own, phase = cast(CompactDRNetwork, network), step_info.phase
+    learning = {MASK: MASK_PARTS, ENCODER: ("encoder", *MASK_PARTS)}
+    if phase:
+        every = [name for name, _ in own.named_children()]
+        resting = learning[ENCODER]
+        own.train_parts(learning.get(phase, [name for name in every if name not in resting]))
+    on = inputs.color.device.type
+    if phase in learning:
+        masks = own.masks(inputs.color).float()
+        with torch.autocast(on, enabled=False):
+            total = loss.of_masks(masks, clear_masks(inputs.batch))
+        return step.Loss(total, {"masks": total.detach()})
+    looked = own.look(inputs.color, inputs.depth)
     looked = Looked(*(one.float() for one in looked))
-    with torch.autocast(inputs.color.device.type, enabled=False):
+    with torch.autocast(on, enabled=False):
         return loss(looked, compactdr_target(inputs.batch, loss, inputs.depth))

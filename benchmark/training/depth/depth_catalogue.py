@@ -42,10 +42,23 @@ COMPACTDR_TRAINING = Trainable(
     network=CompactDRNetwork,
     loss=compactdr_training.CompactDRLoss(),
     step=compactdr_training.compactdr_step,
-    optimization=Optimization(learning_rate=1e-3, batch_size=16, epochs=40, warmup_steps=200),
+    validator=compactdr_training.CompactDRValidator,
+    optimization=Optimization(
+        learning_rate=1e-3,
+        batch_size=16,
+        epochs=40,
+        warmup_steps=200,
+        phase_epochs={
+            compactdr_training.MASK: 20,
+            compactdr_training.ENCODER: 5,
+            compactdr_training.DEPTH: 15,
+        },
+        encoder_rate=0.1,
+    ),
     colors=True,
     geometry=True,
     imagenet=lambda network, path: load_efficientnet(network.encoder, path),
+    idle=lambda config: True,  # noqa: ARG005  # the phases train other parts
     channels_last=True,
 )
 

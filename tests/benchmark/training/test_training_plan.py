@@ -192,10 +192,18 @@ def test_nlspn_and_dfnet_fall_by_a_fifth_when_published():
     [("swindrnet", torch.optim.AdamW, 0.01), ("nlspn", torch.optim.Adam, 0.0)],
 )
 def test_optimizers_are_the_published_ones(method, kind, decay):
-    made = get_trainable(method).optimization.make([torch.nn.Parameter(torch.ones(1))])
+    made = get_trainable(method).optimization.make(torch.nn.Linear(1, 1))
     assert type(made) is kind
     assert made.defaults["weight_decay"] == decay
     assert made.defaults["betas"] == (0.9, 0.999)
+
+
+def test_an_encoder_that_saw_photographs_learns_slowly():
+    network = torch.nn.ModuleDict({"encoder": torch.nn.Linear(1, 1), "head": torch.nn.Linear(1, 1)})
+    made = get_trainable("compactdr").optimization.make(network)
+    rates = {id(p): group["lr"] for group in made.param_groups for p in group["params"]}
+    assert rates[id(network["encoder"].weight)] == pytest.approx(1e-4)
+    assert rates[id(network["head"].weight)] == pytest.approx(1e-3)
 
 
 def test_a_short_training_may_fall_in_a_straight_line(pack):

@@ -18,7 +18,13 @@ from benchmark.methods.depth.full_size import sensor_view, working_size
 from benchmark.methods.efficientnet import CHANNELS, EfficientNetLite, load_imagenet
 from benchmark.methods.weights import save_weights
 from benchmark.restoring.restorer import Restorer
-from benchmark.training.depth.compactdr_training import CompactDRLoss, compactdr_step
+from benchmark.training.augmentation.holes import cut_holes
+from benchmark.training.depth.compactdr_training import (
+    WITHIN,
+    CompactDRLoss,
+    calibrate,
+    compactdr_step,
+)
 from benchmark.training.step import ModelInput, StepInfo
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
@@ -199,13 +205,48 @@ def batch_of(depth: torch.Tensor, truth: torch.Tensor) -> dict[str, torch.Tensor
 def test_every_parameter_learns():
     torch.manual_seed(0)
     network = CompactDRNetwork(SMALL).train()
-    color, depth, truth = frames(4)
-    inputs = ModelInput(color, depth, batch_of(depth, truth))
-    found = compactdr_step(network, CompactDRLoss(), inputs, StepInfo())
+    found = compactdr_step(network, CompactDRLoss(), learning_inputs(), StepInfo())
     assert found.total.isfinite() and len(found.parts) == 10
     found.total.backward()
     for key, parameter in network.named_parameters():
         assert parameter.grad is not None and parameter.grad.any(), key
+
+
+def learning_inputs() -> ModelInput:
+    color, depth, truth = frames(4)
+    return ModelInput(color, depth, batch_of(depth, truth))
+
+
+def test_two_thirds_of_the_errors_lie_within_one_spread():
+    torch.manual_seed(1)
+    network, inputs = CompactDRNetwork(SMALL), learning_inputs()
+    noise = 0.002 * torch.randn_like(inputs.depth) * (inputs.depth > 0)
+    inputs = inputs._replace(depth=inputs.depth + noise)
+    batch = dict(inputs.batch) | {
+        "color": (255 * inputs.color).byte().permute(0, 2, 3, 1), "raw": inputs.depth[:, 0]
+    }  # fmt: skip
+    calibrate(network, [batch])
+    network.eval()
+    with torch.inference_mode():
+        looked = network.look(inputs.color, cut_holes(inputs, 1.0))
+    true = inputs.batch["true"][:, None]
+    within = (looked.depth - true).abs() <= 2**0.5 * looked.spread
+    assert float(within[true > 0].float().mean()) == pytest.approx(WITHIN, abs=0.08)
+    with torch.inference_mode():  # training sees what the network itself says
+        assert not torch.equal(
+            network.train().look(inputs.color, inputs.depth).spread, looked.spread
+        )
+
+
+@pytest.mark.parametrize("phase", ["mask", "encoder", "depth"])
+def test_phases_train_their_parts(phase):
+    network = CompactDRNetwork(SMALL)
+    found = compactdr_step(network, CompactDRLoss(), learning_inputs(), StepInfo(phase, 0, 1))
+    found.total.backward()
+    learning = {n.split(".")[0] for n, p in network.named_parameters() if p.grad is not None}
+    assert ("encoder" in learning) == (phase == "encoder")
+    assert ("mask_at" in learning) == (phase != "depth")
+    assert ("last" in learning) == (phase == "depth")
 
 
 @pytest.mark.slow
