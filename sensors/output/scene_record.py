@@ -69,7 +69,7 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
     parameters: dict[str, Any]
     outputs: dict[str, str] = msgspec.field(default_factory=dict)
 
-    def check(self, root: Path) -> None:
+    def verify(self, root: Path) -> None:
         """Check that the files below `root` are those that were written.
 
         Raises:

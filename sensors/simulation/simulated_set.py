@@ -198,10 +198,10 @@ def _check_kept(out: Path, seed: int, split: Split, layout: Layout) -> None:
     """
     name = scene_name(seed)
     if layout == "scene":
-        read_simulation(out / "scenes" / name).check(out / "scenes" / name)
+        read_simulation(out / "scenes" / name).verify(out / "scenes" / name)
     else:
         path = record_path(out, NOVEL if layout == "novel" else split, name)
-        read_document(path, SceneRecord).check(out)
+        read_document(path, SceneRecord).verify(out)
 
 
 def _check(seeds: Sequence[int], split: str, layouts: Sequence[str]) -> None:
