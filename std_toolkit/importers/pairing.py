@@ -15,7 +15,7 @@ from std_toolkit.importers.ros_images import pair_stamps
 from std_toolkit.io.regular import read_text
 from std_toolkit.scene.time_stamps import stamps_of
 
-PairBy = Literal["name", "index", "time"]
+PairBy = Literal["name", "index", "time", "list"]
 Images = dict[str, Path]
 """Images by frame key, in natural order."""
 
@@ -47,6 +47,17 @@ def paired(
         return _joined(color, depth, _by_index(color, depth, skip_unpaired), stamps)
     if by == "time":
         return _joined(color, depth, _by_time(color, depth, stamps, skip_unpaired), stamps)
+    if by == "list":
+        listed = _by_list(color, depth)
+        if not listed:
+            raise errors.ToolkitError(
+                "no list of pairs beside the folders, or none with these images",
+                path=next(iter(color.values())).parent.parent, field="--pair", value=by,
+                hint=f"a line of {_LISTS[0]}: time, colour, time, depth",
+            )  # fmt: skip
+        return _joined(color, depth, listed, stamps)
+    if by is None and set(color) == set(depth):
+        _check_list(color, _by_list(color, depth))
     if by == "name" or set(color) == set(depth):
         found = pair(color, depth, skip_unpaired=skip_unpaired)
         return _joined(color, depth, {k: k for k in found}, stamps)
@@ -99,6 +110,22 @@ def pair(color: Images, depth: Images, *, skip_unpaired: bool = False) -> Images
     if no_depth or no_color:
         log.logger.warning("skipped %d frames without a partner", len(no_depth) + len(no_color))
     return paired
+
+
+def _check_list(color: Images, listed: Mapping[str, str]) -> None:
+    """Check that a list beside the folders does not contradict the names.
+
+    Raises:
+        ToolkitError: it pairs images of different names.
+    """
+    other = next(((c, d) for c, d in listed.items() if c != d), None)
+    if other is not None:
+        raise errors.ToolkitError(
+            f"a list of pairs beside the folders pairs colour {other[0]} with depth {other[1]}, "
+            f"though there is a depth {other[0]}",
+            path=next(iter(color.values())).parent.parent,
+            hint="pair by the list with --pair list, or by the names with --pair name",
+        )
 
 
 Stamps = tuple[dict[str, float], dict[str, float]]

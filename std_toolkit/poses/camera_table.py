@@ -34,6 +34,7 @@ from std_toolkit.poses.filed_matrices import (
 )
 from std_toolkit.poses.pose_columns import (
     FiledOrder,
+    column_units,
     columns_of_comment,
     euroc_rows,
     filed_order,
@@ -266,6 +267,9 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
         logger.info(
             "%s: columns that are not read: %s", path, ", ".join(rest), extra={"doctor": "ignored"}
         )
+    units = dict(zip(columns, column_units(table[0]), strict=True))
+    unit = _stated(path, units, position or (), ("m", "cm", "mm"))
+    angle = _stated(path, units, rotation if rotation == _VECTOR else (), ("rad", "deg"))
     place = {c: i for i, c in enumerate(columns)}
     rows: Rows = []
     names: list[list[str]] = []
@@ -295,7 +299,8 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
     elif rotation == _QUATERNION:
         matrices = quaternion_poses(values[:, 3:], values[:, :3], path, at)
     else:
-        matrices = rotation_vector_poses(values[:, 3:], values[:, :3], path, at)
+        turns = np.radians(values[:, 3:]) if angle == "deg" else values[:, 3:]
+        matrices = rotation_vector_poses(turns, values[:, :3], path, at)
     keys = {k: [row[i] for row in names] for i, k in enumerate(named_by)}
     keys = {k: texts for k, texts in keys.items() if all(texts)}
     first_key = next(iter(keys), None)
@@ -305,9 +310,30 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
         matrices=matrices,
         keys=keys[first_key] if first_key else None,
         more_keys=[texts for k, texts in keys.items() if k != first_key],
+        unit=unit,
         keys_are_times=first_key in ("timestamp", "time"),
         lenses=_lenses(path, rows, lenses) if lens else (),
     )
+
+
+def _stated(
+    path: Path, units: dict[str, str], columns: Sequence[str], known: Sequence[str]
+) -> str | None:
+    """The unit that a header states for columns.
+
+    Raises:
+        ToolkitError: several units, or another than the known ones.
+    """
+    spelled = {"metres": "m", "meters": "m", "millimeters": "mm", "degrees": "deg", "°": "deg"}
+    found = {spelled.get(units[c], units[c]) for c in columns if c in units} - {""}
+    if not found:
+        return None
+    if len(found) > 1 or not found <= set(known):
+        raise ToolkitError(
+            f"columns in {', '.join(sorted(found))}", path=path, field=", ".join(columns),
+            hint=f"known units: {', '.join(known)}",
+        )  # fmt: skip
+    return found.pop()
 
 
 def _lenses(path: Path, rows: Rows, filed: Sequence[list[str] | None]) -> list[Intrinsics | None]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -228,3 +229,29 @@ def test_an_existing_folder_is_no_pattern(tmp_path):
     folder = touch(tmp_path / "rec [1]", "1.png", "2.png")
     assert list(list_images(str(folder), (".png",), role="color")) == ["1", "2"]
     assert list(list_images(str(folder / "*.png"), (".png",), role="color")) == ["1", "2"]
+
+
+def test_a_list_that_contradicts_the_names_asks(tmp_path):
+    color = images(tmp_path / "rgb", "1.png", "2.png", "3.png")
+    depth = images(tmp_path / "depth", "1.png", "2.png", "3.png")
+    (tmp_path / "associations.txt").write_text(
+        "1 rgb/1.png 1 depth/2.png\n2 rgb/2.png 2 depth/3.png"
+    )
+    with pytest.raises(ToolkitError, match=r"colour 1 with depth 2.*--pair list.*--pair name"):
+        paired(color, depth)
+    assert names_of(paired(color, depth, by="list")) == [("1.png", "2.png"), ("2.png", "3.png")]
+    assert len(names_of(paired(color, depth, by="name"))) == 3
+    (tmp_path / "associations.txt").unlink()
+    with pytest.raises(ToolkitError, match=r"no list of pairs"):
+        paired(color, depth, by="list")
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_an_entry_that_is_no_file_is_named(kind, tmp_path):
+    folder = touch(tmp_path / "rgb", "1.png", "2.png")
+    if kind == "link":
+        (folder / "3.png").symlink_to(tmp_path / "not mounted" / "3.png")
+    else:
+        os.mkfifo(folder / "3.png")
+    with pytest.raises(ToolkitError, match=r"3\.png: is a (link to nothing|pipe)"):
+        list_images(str(folder), (".png",), role="color")

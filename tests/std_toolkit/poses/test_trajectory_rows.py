@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from pathlib import Path
@@ -260,3 +261,40 @@ def test_whole_seconds_are_times(stamps: list[str], head: str, tmp_path: Path) -
     np.testing.assert_allclose(
         found(tmp_path / "t.csv", frames), [T.matrix() for T in some], atol=1e-9
     )
+
+
+@pytest.mark.parametrize(
+    ("head", "unit", "angle"),
+    [
+        ("name,x [mm],y [mm],z [mm],rx,ry,rz", 0.001, 1.0),
+        ("name,x_cm,y_cm,z_cm,rx(deg),ry(deg),rz(deg)", 0.01, np.pi / 180),
+        ("name,x(m),y(m),z(m),rx_rad,ry_rad,rz_rad", 1.0, 1.0),
+    ],
+)
+def test_units_of_a_header(head: str, unit: float, angle: float, tmp_path: Path) -> None:
+    rows = [f"{i:06d}.png,{10 * i},0,5,0.1,0.2,{0.3 * i}" for i in range(5)]
+    (tmp_path / "t.csv").write_text("\n".join([head, *rows]))
+    got = found(tmp_path / "t.csv", numbered())
+    for i, T in enumerate(got):
+        turn = SE3.exp(np.array([0, 0, 0, 0.1, 0.2, 0.3 * i]) * angle).R
+        np.testing.assert_allclose(T[:3, :3], turn, atol=1e-9)
+        np.testing.assert_allclose(T[:3, 3], np.array([10 * i, 0, 5]) * unit, atol=1e-9)
+    for odd in ("name,x [in],y [in],z [in],rx,ry,rz", "name,x [mm],y [m],z [m],rx,ry,rz"):
+        (tmp_path / "t.csv").write_text("\n".join([odd, *rows]))
+        with pytest.raises(ToolkitError, match=r"x, y, z: columns in .*known units"):
+            read_cameras(tmp_path / "t.csv")
+
+
+def test_poses_of_a_packed_array_and_of_another_scale(tmp_path: Path, caplog) -> None:
+    matrices = np.array([T.matrix() for T in poses(5)])
+    np.savez(tmp_path / "t.npz", poses=matrices)
+    np.testing.assert_allclose(read_cameras(tmp_path / "t.npz").matrices, matrices, atol=1e-12)
+    np.savez(tmp_path / "two.npz", a=matrices, b=matrices)
+    with pytest.raises(ToolkitError, match="several arrays"):
+        read_cameras(tmp_path / "two.npz")
+    frames = [
+        {"file_path": f"{i}.png", "transform_matrix": M.tolist()} for i, M in enumerate(matrices)
+    ]
+    (tmp_path / "transforms.json").write_text(json.dumps({"applied_scale": 0.5, "frames": frames}))
+    read_cameras(tmp_path / "transforms.json")
+    assert "applied_scale is 0.5" in caplog.text
