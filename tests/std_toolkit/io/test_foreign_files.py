@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from std_toolkit.cli.command_options import read_settings
+from std_toolkit.cli.command import read_settings
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.documents import read_document
