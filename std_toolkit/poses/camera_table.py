@@ -13,7 +13,7 @@ intrinsics    `fx fy cx cy`, of each image
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, compress
 from pathlib import Path
 from typing import Self
 
@@ -289,9 +289,8 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
         kept = np.asarray(kept & turn.any(axis=1))
     if not kept.any():
         raise ToolkitError("the file has no camera poses", path=path)
-    rows, names, lenses = (
-        [x for x, keep in zip(xs, kept, strict=True) if keep] for xs in (rows, names, lenses)
-    )
+    rows = list(compress(rows, kept))
+    names, lenses = list(compress(names, kept)), list(compress(lenses, kept))
     values = values[kept]
     at = _lines(rows)
     if matrix:
