@@ -200,6 +200,8 @@ class Registry(Generic[T]):
             if (missing := missing_extra(error)) is not None:
                 raise ToolkitError(missing.problem, value=target, hint=missing.hint) from error
             reason = " ".join(str(error).split()) or type(error).__name__
+            if isinstance(error, SystemExit):
+                reason = f"it ends the program (SystemExit: {reason})"
             raise ToolkitError(
                 f"cannot import plug-in for {self.group}: {reason}", value=target
             ) from error

@@ -219,7 +219,7 @@ def train(entry: Entry, machine: Machine) -> Trained:
     from benchmark.training.config import CONFIG, begin
     from benchmark.training.fit import fit
     from benchmark.training.plan import plan_training
-    from benchmark.training.run_files import BEST, LAST, SCORES, BestScores
+    from benchmark.training.run_files import SCORES, is_trained, read_best
 
     assert entry.training is not None
     assert entry.folder is not None
@@ -227,15 +227,14 @@ def train(entry: Entry, machine: Machine) -> Trained:
     folder = entry.folder
     if (folder / CONFIG).is_file():
         begin(folder, config)
-    if all((folder / name).is_file() for name in (BEST, LAST)):
+    if is_trained(folder):
         logger.info("%s: is trained", entry.label)
     else:
         logger.info(
             "%s: %d steps of %d frames", entry.label, config.steps, config.optimization.batch_size
         )
         fit(folder, config, data, machine, beginning)
-    scores_file = folder / SCORES
-    best = read_document(scores_file, BestScores) if scores_file.is_file() else None
+    best = read_best(folder) if (folder / SCORES).is_file() else None
     return Trained(
         frames=len(data.of_training),
         scenes=len({data.training.scene(i) for i in data.of_training}),

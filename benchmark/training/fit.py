@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from msgspec.structs import replace
 
 from benchmark.methods.weights import save_weights
 from benchmark.training import catalogue, options, packed_frames, run_files, run_note
 from benchmark.training.config import CONFIG, TrainConfig, begin, seed_of
 from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.io.atomic import hold_lock, sweep_temporaries
-from std_toolkit.io.documents import write_document
+from std_toolkit.io.documents import digest_file, write_document
 from std_toolkit.jobs.artefact import check_begun
 from std_toolkit.log import logger
 
@@ -43,9 +44,9 @@ def fit(
         The best weights, as safetensors.
 
     Raises:
-        ToolkitError: the folder holds another training, a batch cannot be parted among the
-            devices, a loss or gradient that is not finite (the last checkpoint is kept), or a
-            full disk.
+        ToolkitError: the folder holds another training or a damaged file, a batch cannot be parted
+            among the devices, a loss or gradient that is not finite (the last checkpoint is kept),
+            or a full disk.
         KeyboardInterrupt: SIGINT or SIGTERM came.
     """
     # Lightning takes seconds to load, which a plan need not wait for.
@@ -96,7 +97,12 @@ def fit(
                 raise KeyboardInterrupt from ended  # Lightning exits by itself
             raise
         if trainer.is_global_zero:
-            save_weights(module.network, folder / run_files.LAST)
+            last = folder / run_files.LAST
+            save_weights(module.network, last)
+            digests = replace(run_files.read_digests(folder), weights=digest_file(last))
+            write_document(folder / run_files.DIGESTS, digests)
+            if (folder / run_files.SCORES).is_file():
+                run_files.read_best(folder)
             figures = watch.speed.figures()
             if watch.speed.samples:
                 logger.info(

@@ -43,6 +43,35 @@ class BestScores(msgspec.Struct, frozen=True, kw_only=True):
 
 CHECKPOINT = "last.ckpt"  # what a resumed training needs
 
+DIGESTS = "digests.json"  # of both
+
+
+class LastFiles(msgspec.Struct, frozen=True, kw_only=True):
+    """`digests.json`: what `last.ckpt` and `last.safetensors` must hold.
+
+    Attributes:
+        checkpoint: digests of the checkpoint, the newest first: that of the one before stands as
+            long as a kill may leave it in place.
+        weights: digest of the weights; empty before the training ends.
+    """
+
+    checkpoint: list[str] = msgspec.field(default_factory=list)
+    weights: str = ""
+
+
+def read_digests(run: Path) -> LastFiles:
+    """`digests.json` of a training; empty if there is none, as in trainings of 0.1.0."""
+    path = run / DIGESTS
+    return read_document(path, LastFiles) if path.is_file() else LastFiles()
+
+
+def is_trained(run: Path) -> bool:
+    """Whether a training ended and its last weights are as written; those are made again else."""
+    if not all((run / name).is_file() for name in (BEST, LAST)):
+        return False
+    weights = read_digests(run).weights
+    return not weights or digest_file(run / LAST) == weights
+
 
 def read_best(run: Path) -> BestScores:
     """`best.json` of a training, whose weights are those that it was written for.
@@ -55,7 +84,7 @@ def read_best(run: Path) -> BestScores:
         raise ToolkitError(
             f"was changed or damaged since {SCORES} was written",
             path=run / BEST,
-            hint="run the same std-train command again to go on, or restore the file",
+            hint="restore the file, or train again in another folder",
         )
     return best
 

@@ -20,11 +20,20 @@ from pytorch_lightning.plugins import CheckpointIO
 from pytorch_lightning.strategies import DDPStrategy
 from torch.utils.data import DataLoader
 
-from benchmark.training import callbacks, catalogue, frame_order, options, packed_frames
+from benchmark.training import (
+    callbacks,
+    catalogue,
+    frame_order,
+    options,
+    packed_frames,
+    run_files,
+)
 from benchmark.training.config import TrainConfig
+from benchmark.training.run_files import LastFiles
 from benchmark.training.step import Batch
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
+from std_toolkit.io.documents import digest_file, write_document
 
 _PRECISIONS: dict[str, Any] = {"fp32": "32-true", "bf16": "bf16-mixed"}
 
@@ -169,13 +178,18 @@ class AtomicCheckpoints(CheckpointIO):
         path: str | os.PathLike[str],
         storage_options: Any | None = None,  # noqa: ARG002
     ) -> None:
+        file = Path(path)
         try:
-            with atomic_path(Path(path)) as temporary:
+            with atomic_path(file) as temporary:
                 torch.save(checkpoint, temporary)
+                # Before the move: a kill between the two leaves the old one, whose digest is there.
+                there = [p for p in (temporary, file) if p.is_file()]
+                digests = LastFiles(checkpoint=[digest_file(p) for p in there])
+                write_document(file.with_name(run_files.DIGESTS), digests)
         except RuntimeError as error:  # torch's error for a full disk
             raise ToolkitError(
                 f"cannot write the checkpoint: {error}",
-                path=Path(path),
+                path=file,
                 hint="the one before is kept; is the disk full?",
             ) from error
 
@@ -185,6 +199,13 @@ class AtomicCheckpoints(CheckpointIO):
         map_location: Any | None = None,  # noqa: ARG002
         weights_only: bool | None = None,  # noqa: ARG002
     ) -> dict[str, Any]:
+        known = run_files.read_digests(Path(path).parent).checkpoint
+        if known and digest_file(Path(path)) not in known:
+            raise ToolkitError(
+                "was changed or damaged since it was written",
+                path=Path(path),
+                hint="restore the file, or delete it to restart this training",
+            )
         try:
             return torch.load(path, map_location="cpu", weights_only=True)
         except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:

@@ -144,9 +144,16 @@ def dreds_scene(
         with staged_folder(out, target.relative_to(out).as_posix()) as folder:
             yield DredsWriter(folder, received, novel=novel)
             received.require_all()
+            files = {target / p.name: p for p in sorted(folder.iterdir())}
             for item in () if novel else scene.objects:
-                _write_model(out, f"cad_model/{_CAD_FOLDERS[split]}/{_cad_name(item)}", item)
-            documents.write_document(record, scene_record(received))
+                model = f"cad_model/{_CAD_FOLDERS[split]}/{_cad_name(item)}"
+                _write_model(out, model, item)
+                files |= {p: p for p in sorted((out / model).iterdir())}
+            outputs = {
+                there.relative_to(out).as_posix(): documents.digest_file(now)
+                for there, now in files.items()
+            }
+            documents.write_document(record, scene_record(received, outputs))
     except BaseException:
         if not target.exists():
             record.unlink(missing_ok=True)

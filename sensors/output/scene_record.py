@@ -5,12 +5,17 @@ A writer accepts the frames of one scene: each once, all of them, with the same 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
+
+import msgspec
 
 from sensors.output.simulated_frame import SimulatedFrame, SimulatedScene
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.jobs.artefact import changed_files
 from std_toolkit.scene import model
 
 
@@ -43,6 +48,8 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
     Attributes:
         version_of_tool: of the toolkit that made the scene.
         parameters: everything that the scene was generated from.
+        outputs: digest of the content by path of the file, relative to the set (DREDS layouts) or
+            to the scene; empty in records of 0.1.0.
     """
 
     format: Literal["std-sim-scene"] = "std-sim-scene"
@@ -60,9 +67,26 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
     objects: list[ObjectRecord]
     frames: list[ViewRecord]
     parameters: dict[str, Any]
+    outputs: dict[str, str] = msgspec.field(default_factory=dict)
+
+    def verify(self, root: Path) -> None:
+        """Check that the files below `root` are those that were written.
+
+        Raises:
+            ToolkitError: a file is missing, or was changed or damaged.
+        """
+        found = changed_files(root, self.outputs)
+        if found:
+            more = f", and {len(found) - 1} more files" if len(found) > 1 else ""
+            raise ToolkitError(
+                f"{found[0]} since the scene was made{more}",
+                path=root,
+                field=f"scene {self.name}",
+                hint="remove the folder of the scene: the same command makes it again",
+            )
 
 
-def scene_record(received: ReceivedFrames) -> SceneRecord:
+def scene_record(received: ReceivedFrames, outputs: Mapping[str, str] | None = None) -> SceneRecord:
     """The record of a scene after all its frames were accepted."""
     scene, cameras = received.scene, received.cameras
     return SceneRecord(
@@ -93,6 +117,7 @@ def scene_record(received: ReceivedFrames) -> SceneRecord:
             for i, poses in sorted(received.poses.items())
         ],
         parameters=dict(scene.parameters),
+        outputs=dict(outputs or {}),
     )
 
 

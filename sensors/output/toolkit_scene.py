@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 SOURCE = "simulated"
 
+_WRITTEN_ONCE = ("color", "depth", "infrared", "models", "reference")
+
 
 class ToolkitSceneWriter:
     """Writes the frames of one scene; see `toolkit_scene`."""
@@ -122,7 +124,10 @@ class ToolkitSceneWriter:
         written.save_labels(scene_model.Labels(labels=[self._label(obj) for obj in self._objects]))
         for frame, rows in sorted(self._rows.items()):
             self._write_info(written, frame, rows)
-        documents.write_document(record_path(folder), scene_record(self._received))
+        # Not the documents, nor the maps in gt: later steps of the scene write these.
+        written_once = [p for name in _WRITTEN_ONCE for p in sorted((folder / name).rglob("*.*"))]
+        outputs = documents.digest_files(folder, written_once)
+        documents.write_document(record_path(folder), scene_record(self._received, outputs))
 
     def _T_world_cam(self, frame: int) -> SE3:
         return self._received.poses[frame][0]

@@ -10,8 +10,17 @@ from typing import Any, Literal
 
 import msgspec
 
-from sensors.output.dreds import SPLITS, Split, dreds_scene, novel_folder, scene_folder
-from sensors.output.toolkit_scene import toolkit_scene
+from sensors.output.dreds import (
+    NOVEL,
+    SPLITS,
+    Split,
+    dreds_scene,
+    novel_folder,
+    record_path,
+    scene_folder,
+)
+from sensors.output.scene_record import SceneRecord
+from sensors.output.toolkit_scene import read_simulation, toolkit_scene
 from sensors.render.sim_renderer import SIM_RENDERERS, quality_of
 from sensors.simulation.equipment import Equipment
 from sensors.simulation.options import Layout, SimulationOptions
@@ -19,6 +28,7 @@ from sensors.simulation.simulator import Simulator
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import refuse_links
+from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.jobs.artefact import begin
 from std_toolkit.log import logger
@@ -66,10 +76,10 @@ def simulate_set(
     cache: Path | None = None,
     jobs: JobOptions | None = None,
 ) -> JobReport[SceneTimes]:
-    """Make the missing scenes; one process and one scene per job.
+    """Make the missing scenes, and check the others; one process and one scene per job.
 
     A scene depends only on its seed and the options: the set is the same after an interruption, or
-    if it is made on several machines.
+    if it is made on several machines. A job fails if a file of a finished scene is not as written.
 
     Args:
         out: top of the data set.
@@ -114,7 +124,7 @@ def simulate_set(
     )
     if kept := len(seeds) - len(missing):
         logger.info("%d of %d scenes are there already", kept, len(seeds))
-    return run_jobs(simulate, missing, name="simulate", key=scene_name, options=jobs)
+    return run_jobs(simulate, list(seeds), name="simulate", key=scene_name, options=jobs)
 
 
 def parts_cache() -> Path:
@@ -140,7 +150,10 @@ def _simulate_scene(
     threads: int,
 ) -> SceneTimes:
     pending = _missing(out, seed, split, layouts)
-    if not pending:  # made by another process in the meantime
+    for layout in layouts:
+        if layout not in pending:
+            _check_kept(out, seed, split, layout)
+    if not pending:
         return SceneTimes(frames=0, seconds={})
     simulator = _simulator(options, renderer, threads, cache)
     simulator.stopwatch.seconds.clear()
@@ -175,6 +188,20 @@ def _missing(out: Path, seed: int, split: Split, layouts: Sequence[Layout]) -> l
         "scene": (out / "scenes" / name).is_dir(),
     }
     return [layout for layout in layouts if not there[layout]]
+
+
+def _check_kept(out: Path, seed: int, split: Split, layout: Layout) -> None:
+    """Check the files of a finished scene against its record.
+
+    Raises:
+        ToolkitError: a file is missing or changed, or the record is damaged.
+    """
+    name = scene_name(seed)
+    if layout == "scene":
+        read_simulation(out / "scenes" / name).verify(out / "scenes" / name)
+    else:
+        path = record_path(out, NOVEL if layout == "novel" else split, name)
+        read_document(path, SceneRecord).verify(out)
 
 
 def _check(seeds: Sequence[int], split: str, layouts: Sequence[str]) -> None:

@@ -15,13 +15,13 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from std_toolkit.cli.command_options import (
     UsageError,
     parse_options,
     print_completion,
-    read_settings,
     values_of,
 )
 from std_toolkit.errors import ToolkitError, is_interrupt, missing_extra
@@ -267,3 +267,19 @@ def _outside_of_the_toolkit(error: BaseException) -> ToolkitError | None:
 def _load(reference: str) -> Any:
     module, _, name = reference.partition(":")
     return getattr(importlib.import_module(module), name)
+
+
+def read_settings(path: Path) -> tuple[Any, ...]:
+    """The limits in a TOML file, as `std-curate settings` prints them.
+
+    Raises:
+        ToolkitError: the file cannot be read, or what `settings_of` raises.
+    """
+    from std_toolkit.io.foreign_files import read_toml
+    from std_toolkit.settings import settings_of
+
+    try:
+        tables = read_toml(path, dict[str, Any])
+    except ToolkitError as error:
+        raise error.revised(hint="`std-curate settings` prints such a file") from error
+    return settings_of(tables, path)

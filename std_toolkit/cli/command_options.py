@@ -74,6 +74,8 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
     import tyro
     from tyro._errors import on_parse_error
 
+    _refuse_twice(kind, words)
+
     def parse() -> Any:
         with on_parse_error(functools.partial(_refuse, program)):
             args = _in_millimetres(kind, words)
@@ -96,6 +98,17 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
         raise UsageError(str(error)) from error
     common = {field.name: getattr(call, field.name) for field in dataclasses.fields(CommonOptions)}
     return options, CommonOptions(**common)
+
+
+def _refuse_twice(kind: type[Any], words: Sequence[str]) -> None:
+    """Refuse an option of several values that is given twice: the parser drops the first ones."""
+    for option in _options(kind):
+        many = (
+            get_origin(option.type) in (*_MAPPINGS, tuple, list) and "size" not in option.metadata
+        )
+        times = sum(word.partition("=")[0] == f"--{option.name}" for word in words)
+        if option.name and many and times > 1 and not option.metadata.get("repeat"):
+            raise UsageError(f"--{option.name}: given twice; give all values after one of them")
 
 
 _LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)(mm|cm|m)")
@@ -128,22 +141,6 @@ def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -
         tyro.cli(*calls.values(), prog=program, args=arguments, config=_markers())
     else:
         tyro.extras.subcommand_cli_from_dict(calls, prog=program, args=arguments, config=_markers())
-
-
-def read_settings(path: Path) -> tuple[Any, ...]:
-    """The limits in a TOML file, as `std-curate settings` prints them.
-
-    Raises:
-        ToolkitError: the file cannot be read, or what `settings_of` raises.
-    """
-    from std_toolkit.io.foreign_files import read_toml
-    from std_toolkit.settings import settings_of
-
-    try:
-        tables = read_toml(path, dict[str, Any])
-    except ToolkitError as error:
-        raise error.revised(hint="`std-curate settings` prints such a file") from error
-    return settings_of(tables, path)
 
 
 def values_of(options: Any) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:

@@ -138,16 +138,16 @@ def _with_lens(sections: Mapping[str, Mapping[str, Any]], own: dict[str, Any]) -
     """
     of_lens = [n for n in sections if _OF_LENS.search(plain_key(n))]
     of_lens = [n for n in of_lens if not _OF_OTHERS.search(plain_key(n))]
-    leaves = {n: _leaves(sections[n]) for n in of_lens}
-    clear = not _contradict([leaves[n] for n in of_lens if states_lens(sections[n])])
+    filed = {n: leaves(sections[n]) for n in of_lens}
+    clear = not _contradict([filed[n] for n in of_lens if states_lens(sections[n])])
     for name, child in sections.items():
         is_lens = states_lens(child)
         if name in of_lens and (clear or not is_lens):
-            own = {**leaves[name], **own}
+            own = {**filed[name], **own}
             if is_lens or not re.search("dist|radial|tangential", plain_key(name)):
                 continue
             # Coefficients under names that are not known.
-            is_lens = any(isinstance(v, int | float | list) for v in leaves[name].values())
+            is_lens = any(isinstance(v, int | float | list) for v in filed[name].values())
         if is_lens:
             own.setdefault(name, child)
     return own
@@ -159,7 +159,7 @@ def _with_own_lens(name: str, above: dict[str, Any]) -> dict[str, Any]:
     mates = [k for k in lenses if re.split("[ _.-]", k)[0] == re.split("[ _.-]", name)[0]]
     if len(mates) != 1:
         return above
-    return {**{k: v for k, v in above.items() if k not in lenses}, **_leaves(lenses[mates[0]])}
+    return {**{k: v for k, v in above.items() if k not in lenses}, **leaves(lenses[mates[0]])}
 
 
 def _contradict(sections: list[dict[str, Any]]) -> bool:
@@ -179,12 +179,12 @@ def _mappings(value: Any) -> list[Mapping[str, Any]]:
     return [r for r in pairs if isinstance(r, Mapping)]
 
 
-def _leaves(data: Mapping[str, Any]) -> dict[str, Any]:
+def leaves(data: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a section and of its own sections."""
     found: dict[str, Any] = {}
     for key, value in data.items():
         if isinstance(value, Mapping) and not is_filled(value):
-            found = {**_leaves(value), **found}
+            found = {**leaves(value), **found}
         elif not _is_rows(value):
             found[key] = value
     return found

@@ -22,8 +22,15 @@ from std_toolkit.geometry.camera_sections import (
     expanded,
     is_filled,
     joined,
+    leaves,
 )
-from std_toolkit.geometry.filed_lens import LIST_KEYS, NAMED_KEYS, FiledLens, plain_key
+from std_toolkit.geometry.filed_lens import (
+    LIST_KEYS,
+    NAMED_KEYS,
+    FiledLens,
+    model_of_fields,
+    plain_key,
+)
 from std_toolkit.geometry.filed_numbers import filed_depth_unit, filed_size, number
 from std_toolkit.geometry.intrinsics import Intrinsics
 
@@ -82,15 +89,31 @@ def filed_cameras(
         if is_wanted or one.intrinsics not in [f.intrinsics for f in found]:
             found.append(one)
     if failed and not is_there and not any(_COLOR.search(f.name) for f in found):
-        raise failed[0]
-    if not found:
-        raise ToolkitError(
-            "intrinsics are incomplete", path=path, field="fx", hint="K, or fx fy cx cy"
+        raise (
+            failed[0]
+            if found or "incomplete" not in failed[0].problem
+            else _incomplete(document, path, failed[0].field)
         )
+    if not found:
+        raise _incomplete(document, path)
     # A unit that the depth camera states is that of the recording.
     if len(units) == 1:
         found = [replace(f, depth_unit=f.depth_unit or units[0]) for f in found]
     return found
+
+
+def _incomplete(document: Any, path: Path, field: str | None = "fx") -> ToolkitError:
+    """The error of a document without a camera: its lens model, or what it has instead."""
+    values = leaves(document) if isinstance(document, Mapping) else {}
+    try:
+        model_of_fields(values, has_coefficients=True)
+    except ToolkitError as error:
+        return error.revised(path=path)
+    names = list(map(str, document))[:8] if isinstance(document, Mapping) else None
+    return ToolkitError(
+        "intrinsics are incomplete", path=path, field=field, value=names,
+        hint="K, or fx fy cx cy in pixels; or give --intrinsics fx,fy,cx,cy",
+    )  # fmt: skip
 
 
 def chosen_camera(found: Sequence[FiledCamera], path: Path, name: str | None) -> FiledCamera:

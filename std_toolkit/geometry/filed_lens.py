@@ -307,9 +307,16 @@ def listed_coefficients(values: Sequence[float], model: str) -> tuple[float, ...
     """Coefficients of a list in the model's order, without zeros that are too many.
 
     Raises:
-        ToolkitError: too many coefficients.
+        ToolkitError: too many or too few coefficients.
     """
     k = list(values)
+    counts = sorted(set(MODELS[model].counts) - {0})
+    if any(k) and len(k) < counts[0]:
+        raise ToolkitError(
+            f"needs {', '.join(map(str, counts[:-1]))} or {counts[-1]} coefficients"
+            if len(counts) > 1 else f"needs {counts[0]} coefficients",
+            field="distortion", value=k, hint=f"{MODELS[model].order}; append zeros",
+        )  # fmt: skip
     count = max((n for n in MODELS[model].counts if n <= len(k)), default=len(k))
     if any(k[count:]):
         raise ToolkitError("too many distortion coefficients", value=len(k))

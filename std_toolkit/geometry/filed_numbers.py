@@ -67,6 +67,7 @@ def filed_size(
     """
     for name in _BOTH:
         key, value = plain.get(name, ("", None))
+        sides = None
         if isinstance(value, str):
             sides = _SIDES.fullmatch(value.strip().lower())
             value = None if sides is None else [int(w) for w in sides.groups()]
@@ -77,7 +78,7 @@ def filed_size(
         if len(value) != 2:
             continue
         width, height = (int(number(v, key)) for v in value)
-        if found is None or width <= 0 or height <= 0:
+        if found is None or width <= 0 or height <= 0 or sides is not None:
             return width, height
         off = [
             abs(found.cx / w - 0.5) + abs(found.cy / h - 0.5)

@@ -27,6 +27,10 @@ _MTLLIB = re.compile(rb"^mtllib[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
 _USEMTL = re.compile(rb"^usemtl(?:[ \t]+(.*?))?[ \t]*\r?$", re.MULTILINE)
 _FACE = re.compile(rb"^f[ \t]", re.MULTILINE)
 _FACE_WITH_UV = re.compile(rb"^f[ \t]+-?\d+/-?\d", re.MULTILINE)
+_DECIMAL = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+# A vertex with a colour.
+_COLORED = re.compile(rb"^v(?:[ \t]+" + _DECIMAL + rb"){6}(?=[ \t]*\r?$)", re.MULTILINE)
+_MAP = re.compile(r"^[ \t]*(map_K[ade])\b", re.MULTILINE | re.IGNORECASE)
 _TEXTURE_KEYS = ("bump", "disp", "decal", "norm", "refl")
 # Options of texture lines, with their number of arguments; those of three may have fewer.
 _OPTIONS = {
@@ -85,6 +89,10 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
     reader = _Reader(path.parent, path, strict)
     text = "".join(reader.material(found) for name in names for found in reader.libraries(name))
     notes = reader.notes
+    data, note = _colors_to_one(data)
+    notes += note
+    if (extra := _MAP.findall(text)) and "map_kd" not in (kinds := [k.lower() for k in extra]):
+        notes.append(f"{', '.join(sorted(set(kinds)))} without map_Kd: it is not shown")
     target = None
     if names:
         target = _safe(Path(names[0].strip().strip('"').replace("\\", "/")).stem) + ".mtl"
@@ -107,6 +115,22 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
     if target is not None and text:
         files = {target: text.encode("utf-8", "surrogateescape"), **files}
     return ObjFiles(data, files, tuple(notes))
+
+
+def _colors_to_one(data: bytes) -> tuple[bytes, list[str]]:
+    """Vertex colours of 0 to 255 as those of 0 to 1 that the format has, and what was changed."""
+    rows = [m.group(0).split() for m in _COLORED.finditer(data)]
+    if not rows:
+        return data, []
+    largest = max(float(word) for row in rows for word in row[4:7])
+    if not 1 < largest <= 255:
+        return data, []
+
+    def scaled(match: re.Match[bytes]) -> bytes:
+        words = match.group(0).split()
+        return b" ".join([*words[:4], *(b"%.6f" % (float(w) / 255) for w in words[4:7])])
+
+    return _COLORED.sub(scaled, data), ["vertex colours up to 255 are divided by 255"]
 
 
 def log_notes(path: Path, files: ObjFiles) -> None:

@@ -152,10 +152,11 @@ def _examine_file(request: ImportRequest, report: Report) -> None:
     if path.suffix.lower() in MESH_SUFFIXES:
         mesh = load_mesh(path, any_size=True, corners=False)
         size = " x ".join(f"{x:.4g}" for x in mesh_extents(mesh))
-        kind = getattr(mesh.visual, "kind", None)
+        material = getattr(mesh.visual, "material", None)
+        images = (getattr(material, name, None) for name in ("image", "baseColorTexture"))
         colors = (
             "a texture"
-            if kind == "texture"
+            if any(image is not None for image in images)
             else "colours"
             if vertex_colors(mesh) is not None
             else "no colours"

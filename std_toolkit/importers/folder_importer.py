@@ -46,8 +46,8 @@ class FolderImporter:
             ToolkitError: images are missing or of different sizes, names do not pair, or the
                 intrinsics do not fit.
         """
-        layout = find_layout(request.source) if request.color is None else None
-        if layout is not None:
+        layout = find_layout(request.source) if request.color is None else _layout_of(request)
+        if layout is not None and request.color is None:
             request = _in_layout(request, layout)
         where = request.color or str(request.source)
         if request.intrinsics is None and request.known.cameras is None:
@@ -116,6 +116,17 @@ def _same_folder(color: str, depth: str) -> bool:
 def _is_pattern(text: str) -> bool:
     """Whether a text is a pattern; a folder that exists is none, whatever its name."""
     return any(c in text for c in "*?[") and not Path(text).is_dir()
+
+
+def _layout_of(request: ImportRequest) -> Layout | None:
+    """The layout that folders of colour and depth are parts of, such as rgb/ and depth/ of TUM."""
+    if request.color is None or request.depth is None or _is_pattern(request.color):
+        return None
+    layout = find_layout(Path(request.color).absolute().parent)
+    given = [Path(text).resolve() for text in (request.color, request.depth)]
+    if layout is None or given != [Path(p).resolve() for p in (layout.color, layout.depth)]:
+        return None
+    return layout
 
 
 def _in_layout(request: ImportRequest, layout: Layout) -> ImportRequest:
@@ -221,7 +232,14 @@ def _listed(folder: Path, role: str) -> list[Path]:
         )
     if not folder.is_dir():
         raise errors.ToolkitError(f"no such folder of {role} images", path=folder)
-    return [p for p in folder.iterdir() if p.is_file()]
+    found = [p for p in folder.iterdir() if not p.is_dir()]
+    for path in found:
+        if not path.is_file() and path.suffix.lower() in (*COLOR_SUFFIXES, *DEPTH_SUFFIXES):
+            what = "a link to nothing" if path.is_symlink() else "a pipe or device"
+            raise errors.ToolkitError(
+                f"is {what}, not an image", path=path, hint="remove it, or mount what it is in"
+            )
+    return [p for p in found if p.is_file()]
 
 
 def frame_names(keys: list[str]) -> dict[str, str]:

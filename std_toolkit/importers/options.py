@@ -36,9 +36,9 @@ class ImageOptions:
     undistort_fov: Annotated[float, msgspec.Meta(ge=3, le=136)] | None = None
     """undistort the images to a pinhole with this horizontal field of view in degrees (default: a
     fisheye lens to a pinhole of the same focal length; other lenses keep their distortion)"""
-    pair: Literal["name", "index", "time"] | None = None
-    """pair colour and depth by name, in their order, or by the time in their names or in rgb.txt
-    and depth.txt (default: by name, then by number, associations.txt or time stamps)"""
+    pair: Literal["name", "index", "time", "list"] | None = None
+    """pair colour and depth by name, in their order, by the time in their names or in rgb.txt and
+    depth.txt, or by associations.txt (default: by name, then by number, list or time stamps)"""
     skip_unpaired: bool = False
     """skip frames that lack colour or depth"""
     off_centre: bool = False

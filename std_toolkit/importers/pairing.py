@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import Literal
 
 from std_toolkit import errors, log
 from std_toolkit.importers.ros_images import pair_stamps
 from std_toolkit.io.regular import read_text
+from std_toolkit.scene.time_stamps import stamps_of
 
-PairBy = Literal["name", "index", "time"]
+PairBy = Literal["name", "index", "time", "list"]
 Images = dict[str, Path]
 """Images by frame key, in natural order."""
 
 _LISTS = ("associations.txt", "associate.txt", "association.txt", "assoc.txt", "assocs.txt")
 _LARGEST_LIST_BYTES = 64 * 1024 * 1024
+# Of a period: by so much less distance, another frame is not yet the likelier partner.
+_UNDECIDED = 0.1
+_INDEX = re.compile(r"\d{1,5}\.\d{1,2}")  # such as view 5 of place 12
+_OF_1973 = 1e8  # seconds; stamps below it count from a start of their own
 
 
 def paired(
@@ -27,8 +35,8 @@ def paired(
     Args:
         color, depth: images by frame key.
         by: how to pair them. None: by name; if this leaves images out, by the numbers in the
-            names, by a list beside the folders (associations.txt), by an index and a time that
-            agree, or by time where every name is a time stamp, if that leaves none out.
+            names, by a list beside the folders (associations.txt), by an index and a time that do
+            not contradict each other, or by time where every name is a time stamp.
         skip_unpaired: whether images without a partner may be left out.
 
     Raises:
@@ -39,6 +47,17 @@ def paired(
         return _joined(color, depth, _by_index(color, depth, skip_unpaired), stamps)
     if by == "time":
         return _joined(color, depth, _by_time(color, depth, stamps, skip_unpaired), stamps)
+    if by == "list":
+        listed = _by_list(color, depth)
+        if not listed:
+            raise errors.ToolkitError(
+                "no list of pairs beside the folders, or none with these images",
+                path=next(iter(color.values())).parent.parent, field="--pair", value=by,
+                hint=f"a line of {_LISTS[0]}: time, colour, time, depth",
+            )  # fmt: skip
+        return _joined(color, depth, listed, stamps)
+    if by is None and set(color) == set(depth):
+        _check_list(color, _by_list(color, depth))
     if by == "name" or set(color) == set(depth):
         found = pair(color, depth, skip_unpaired=skip_unpaired)
         return _joined(color, depth, {k: k for k in found}, stamps)
@@ -91,6 +110,22 @@ def pair(color: Images, depth: Images, *, skip_unpaired: bool = False) -> Images
     if no_depth or no_color:
         log.logger.warning("skipped %d frames without a partner", len(no_depth) + len(no_color))
     return paired
+
+
+def _check_list(color: Images, listed: Mapping[str, str]) -> None:
+    """Check that a list beside the folders does not contradict the names.
+
+    Raises:
+        ToolkitError: it pairs images of different names.
+    """
+    other = next(((c, d) for c, d in listed.items() if c != d), None)
+    if other is not None:
+        raise errors.ToolkitError(
+            f"a list of pairs beside the folders pairs colour {other[0]} with depth {other[1]}, "
+            f"though there is a depth {other[0]}",
+            path=next(iter(color.values())).parent.parent,
+            hint="pair by the list with --pair list, or by the names with --pair name",
+        )
 
 
 Stamps = tuple[dict[str, float], dict[str, float]]
@@ -168,7 +203,11 @@ def _by_number(color: Images, depth: Images) -> dict[str, str]:
 
 
 def _by_index_and_time(color: Images, depth: Images) -> dict[str, str]:
-    """Pairs of equal first numbers, if pairing the last ones by time gives the same."""
+    """Pairs of equal first numbers, if the last ones as times do not contradict them.
+
+    They do if some pair is farther apart than others, as after a lost frame, or nearer to another
+    frame by more than `_UNDECIDED` of a period, as where each camera counts for itself.
+    """
     numbers = [
         {key: [int(n) for n in re.findall(r"\d+", path.stem)] for key, path in images.items()}
         for images in (color, depth)
@@ -179,9 +218,18 @@ def _by_index_and_time(color: Images, depth: Images) -> dict[str, str]:
     if index[0].keys() != index[1].keys() or len(index[0]) < max(map(len, numbers)):
         return {}
     joined = {key: index[1][n] for n, key in index[0].items()}
-    times = [[float(n[1]) for n in found.values()] for found in numbers]
-    by_time = {list(color)[c]: list(depth)[d] for c, d in pair_stamps(*times)}
-    return joined if joined == by_time else {}
+    times = sorted(n[1] for n in numbers[0].values())
+    late = [numbers[1][d][1] - numbers[0][c][1] for c, d in joined.items()]
+    period = median([b - a for a, b in pairwise(times)] or [0])
+    apart, spread = max(map(abs, late)), max(late) - min(late)
+    if period <= 0 or spread > _UNDECIDED * period or apart > (0.5 + _UNDECIDED) * period:
+        return {}
+    if apart > 0.5 * period:
+        log.logger.warning(
+            "depth is %.2f periods %s colour of the same index: --pair time pairs the nearest ones",
+            apart / period, "after" if late[0] > 0 else "before",
+        )  # fmt: skip
+    return joined
 
 
 def _by_list(color: Images, depth: Images) -> dict[str, str]:
@@ -205,13 +253,24 @@ def _by_list(color: Images, depth: Images) -> dict[str, str]:
 
 
 def _by_stamps(color: Images, depth: Images) -> dict[str, str]:
-    """Pairs of the nearest time, if every name is a time stamp in seconds."""
-    pattern = re.compile(r"\d{6,}\.\d+")
-    if not all(pattern.fullmatch(p.stem) for p in (*color.values(), *depth.values())):
-        return {}
-    times = [[float(p.stem) for p in images.values()] for images in (color, depth)]
+    """Pairs of the nearest time, if every name is a time stamp."""
+    times = [list(_named_times(images).values()) for images in (color, depth)]
     keys = list(color), list(depth)
+    if not all(times) or len(set(map(_is_since_1970, (t for ts in times for t in ts)))) > 1:
+        return {}
     return {keys[0][c]: keys[1][d] for c, d in pair_stamps(*times)}
+
+
+def _named_times(images: Images) -> dict[str, float]:
+    """Seconds by key where every name is a time stamp; else empty."""
+    stems = [p.stem for p in images.values()]
+    found = stamps_of(stems)
+    is_index = all(map(_INDEX.fullmatch, stems))
+    return {} if is_index or any(map(math.isnan, found)) else dict(zip(images, found, strict=True))
+
+
+def _is_since_1970(seconds: float) -> bool:
+    return seconds > _OF_1973
 
 
 def _stamps(images: Images, name: str) -> dict[str, float]:
@@ -231,7 +290,7 @@ def _stamps(images: Images, name: str) -> dict[str, float]:
                         continue
     if found:
         return found
-    return {k: float(p.stem) for k, p in images.items() if re.fullmatch(r"\d{6,}\.\d+", p.stem)}
+    return _named_times(images)
 
 
 def _time_numbers(images: Images) -> dict[str, float]:

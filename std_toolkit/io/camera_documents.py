@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.foreign_files import bounded_yaml_loader, read_json, read_npy
+from std_toolkit.io.foreign_files import bounded_yaml_loader, read_json, read_npy, read_npz
 from std_toolkit.io.regular import read_text
 
 _LARGEST_FILE = 1024 * 1024
@@ -41,8 +41,16 @@ def read_camera_document(path: Path, size: tuple[int, int] | None) -> Any:
     Raises:
         ToolkitError: unreadable, or of no known syntax.
     """
-    if path.suffix.lower() == ".npy":
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
         return read_npy(path).tolist()
+    if suffix == ".npz":
+        return {name: values.tolist() for name, values in read_npz(path).items()}
+    if suffix in (".pkl", ".pickle", ".p", ".mat"):
+        raise ToolkitError(
+            "files of pickle and MATLAB are not read", path=path,
+            hint="save the numbers as JSON, YAML or .npz, or give --intrinsics fx,fy,cx,cy",
+        )  # fmt: skip
     text = read_text(path, "intrinsics file", _LARGEST_FILE)
     if 'Intrinsic of "' in text:
         return _realsense_dump(text, path, size)

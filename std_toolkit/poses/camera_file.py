@@ -20,11 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.filed_cameras import camera_of_fields
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.io.colmap_files import check_colmap_model
-from std_toolkit.io.foreign_files import read_json, read_npy
+from std_toolkit.io.foreign_files import read_json, read_npy, read_npz
+from std_toolkit.log import logger
 from std_toolkit.poses.camera_table import FiledCameras, read_table
 from std_toolkit.poses.filed_matrices import poses_or_lost
 
@@ -69,7 +71,15 @@ def _read(path: Path) -> FiledCameras:
     if suffix in (".pkl", ".pickle", ".pt", ".pth"):
         raise ToolkitError("pickled files are not read", path=path, hint="save the poses as .npy")
     if suffix == ".npy":
-        return _array(path)
+        return _array(path, read_npy(path))
+    if suffix == ".npz":
+        arrays = read_npz(path)
+        if len(arrays) != 1:
+            raise ToolkitError(
+                "the file has several arrays", path=path, value=sorted(arrays),
+                hint="save the camera poses alone, as .npy",
+            )  # fmt: skip
+        return _array(path, next(iter(arrays.values())))
     if suffix in (".bin", ".db"):
         raise ToolkitError("give the folder of the COLMAP model", path=path)
     if suffix == ".json":
@@ -80,8 +90,8 @@ def _read(path: Path) -> FiledCameras:
     return read_table(path)
 
 
-def _array(path: Path) -> FiledCameras:
-    values = np.asarray(read_npy(path), dtype=np.float64)
+def _array(path: Path, filed: Array) -> FiledCameras:
+    values = np.asarray(filed, dtype=np.float64)
     if values.ndim < 2 or values.shape[-2:] not in ((4, 4), (3, 4)) or values.ndim > 3:
         raise ToolkitError(
             "camera poses are an array of 4x4 (or 3x4) matrices", path=path, value=values.shape
@@ -190,6 +200,11 @@ def _read_list(path: Path, rows: list[Any], where: str) -> FiledCameras:
 
 def _read_transforms(path: Path, document: Mapping[str, Any]) -> FiledCameras:
     found = _Rows(path)
+    if (factor := document.get("applied_scale", 1)) != 1:
+        logger.warning(
+            "%s: applied_scale is %s: its positions are so many times those of the tracker; "
+            "--cameras-unit is the unit of the numbers in the file", path, factor,
+        )  # fmt: skip
     for i, row in enumerate(document["frames"]):
         if not isinstance(row, Mapping) or "transform_matrix" not in row:
             raise ToolkitError("a frame without transform_matrix", path=path, field=f"frames[{i}]")

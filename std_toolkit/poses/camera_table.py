@@ -2,16 +2,18 @@
 
 Columns of a CSV file (upper or lower case):
 
-which image   `name`, `image`, `file`, `filename`, `file_path`, `frame`, `timestamp` or `time`
+which image   `name`, `image`, `file`, `filename`, `file_path`, `timestamp`, `time`, `frame` or
+              `id`; of several, the one that names most images of the scene
 position      `x y z`, `tx ty tz` or `px py pz`
 rotation      `qw qx qy qz`, or the rotation vector `rx ry rz` in radians
 or a matrix   `m00` to `m33` (or to `m23`), row-major
+intrinsics    `fx fy cx cy`, of each image
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, compress
 from pathlib import Path
 from typing import Self
 
@@ -22,6 +24,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.geometry.se3 import ROTATION_TOLERANCE
 from std_toolkit.io.foreign_files import csv_rows
+from std_toolkit.log import logger
 from std_toolkit.poses.filed_matrices import (
     poses_or_lost,
     quaternion_poses,
@@ -31,6 +34,7 @@ from std_toolkit.poses.filed_matrices import (
 )
 from std_toolkit.poses.pose_columns import (
     FiledOrder,
+    column_units,
     columns_of_comment,
     euroc_rows,
     filed_order,
@@ -42,6 +46,7 @@ _KEYS = ("name", "image", "file", "filename", "file_path", "timestamp", "time", 
 _POSITIONS = (("x", "y", "z"), ("tx", "ty", "tz"), ("px", "py", "pz"))
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _VECTOR = ("rx", "ry", "rz")
+_LENS = ("fx", "fy", "cx", "cy")
 _MATRIX = tuple(f"m{r}{c}" for r in range(4) for c in range(4))
 
 
@@ -56,6 +61,8 @@ class FiledCameras:
             last row 0 0 0 w.
         keys: what names the image of each pose: file name, time stamp or number. None: the
             poses are in the order of the images.
+        more_keys: other columns that name the images, such as numbers beside time stamps.
+        keys_are_times: whether a header calls the keys time stamps.
         lenses: intrinsics of each pose where the file has them; may be empty.
         lens_problem: why intrinsics that the file has cannot be used.
         convention: convention that the format fixes; None: the file does not state it.
@@ -71,6 +78,8 @@ class FiledCameras:
     kind: str
     matrices: Array
     keys: list[str] | None = None
+    more_keys: Sequence[list[str]] = ()
+    keys_are_times: bool = False
     lenses: Sequence[Intrinsics | None] = ()
     lens_problem: ToolkitError | None = None
     convention: str | None = None
@@ -242,7 +251,7 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
     delimiter = next((d for d in (",", ";", "\t") if d in lines[0]), " ")
     table = list(csv_rows(lines, path, first=first, delimiter=delimiter))
     columns = plain_columns(table[0])
-    key = next((k for k in _KEYS if k in columns), None)
+    named_by = [k for k in _KEYS if k in columns]
     position = next((p for p in _POSITIONS if set(p) <= set(columns)), None)
     matrix = set(_MATRIX[:12]) <= set(columns)
     rotation = next((r for r in (_QUATERNION, _VECTOR) if set(r) <= set(columns)), None)
@@ -252,35 +261,90 @@ def _read_csv(path: Path, lines: Sequence[str], first: int) -> FiledCameras:
             hint="position x y z; rotation qw qx qy qz or rx ry rz (radians); or m00 to m33",
         )  # fmt: skip
     used = _MATRIX[:12] if matrix else (*(position or ()), *(rotation or ()))
+    lens = _LENS if set(_LENS) <= set(columns) else ()
+    rest = [c for c in columns if c and c not in (*used, *lens, *named_by, *_MATRIX[12:])]
+    if rest:
+        logger.info(
+            "%s: columns that are not read: %s", path, ", ".join(rest), extra={"doctor": "ignored"}
+        )
+    units = dict(zip(columns, column_units(table[0]), strict=True))
+    unit = _stated(path, units, position or (), ("m", "cm", "mm"))
+    angle = _stated(path, units, rotation if rotation == _VECTOR else (), ("rad", "deg"))
     place = {c: i for i, c in enumerate(columns)}
-    at_key = place[key] if key else None
     rows: Rows = []
+    names: list[list[str]] = []
+    lenses: list[list[str] | None] = []
     for i, line in enumerate(table[1:], start=first + 1):
         cells = [line[place[c]] if place[c] < len(line) else "" for c in used]
         if _is_blank(cells[0]) and all(map(_is_blank, cells)):
             continue  # a frame without a pose
-        name = line[at_key].strip() if at_key is not None and at_key < len(line) else ""
-        rows.append((i, [name, *cells]))
-    values = _table(path, rows, 1) if rows else np.empty((0, len(used)))
+        names.append([line[place[k]].strip() if place[k] < len(line) else "" for k in named_by])
+        filed_lens = [line[place[c]] if place[c] < len(line) else "" for c in lens]
+        lenses.append(None if any(map(_is_blank, filed_lens)) else filed_lens)
+        rows.append((i, cells))
+    values = _table(path, rows, 0) if rows else np.empty((0, len(used)))
     turn = values.reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9) if matrix else values[:, 3:]
     kept = np.asarray(np.isfinite(values).all(axis=1))
     if matrix or rotation != _VECTOR:
         kept = np.asarray(kept & turn.any(axis=1))
     if not kept.any():
         raise ToolkitError("the file has no camera poses", path=path)
-    rows, values = (
-        [row for row, keep in zip(rows, kept, strict=True) if keep],
-        values[kept],
-    )
+    rows = list(compress(rows, kept))
+    names, lenses = list(compress(names, kept)), list(compress(lenses, kept))
+    values = values[kept]
     at = _lines(rows)
     if matrix:
         matrices, _ = poses_or_lost(values, path, at)
     elif rotation == _QUATERNION:
         matrices = quaternion_poses(values[:, 3:], values[:, :3], path, at)
     else:
-        matrices = rotation_vector_poses(values[:, 3:], values[:, :3], path, at)
-    keys = [words[0] for _, words in rows]
-    return FiledCameras(path=path, kind="csv", matrices=matrices, keys=keys if all(keys) else None)
+        turns = np.radians(values[:, 3:]) if angle == "deg" else values[:, 3:]
+        matrices = rotation_vector_poses(turns, values[:, :3], path, at)
+    keys = {k: [row[i] for row in names] for i, k in enumerate(named_by)}
+    keys = {k: texts for k, texts in keys.items() if all(texts)}
+    first_key = next(iter(keys), None)
+    return FiledCameras(
+        path=path,
+        kind="csv",
+        matrices=matrices,
+        keys=keys[first_key] if first_key else None,
+        more_keys=[texts for k, texts in keys.items() if k != first_key],
+        unit=unit,
+        keys_are_times=first_key in ("timestamp", "time"),
+        lenses=_lenses(path, rows, lenses) if lens else (),
+    )
+
+
+def _stated(
+    path: Path, units: dict[str, str], columns: Sequence[str], known: Sequence[str]
+) -> str | None:
+    """The unit that a header states for columns.
+
+    Raises:
+        ToolkitError: several units, or another than the known ones.
+    """
+    spelled = {"metres": "m", "meters": "m", "millimeters": "mm", "degrees": "deg", "°": "deg"}
+    found = {spelled.get(units[c], units[c]) for c in columns if c in units} - {""}
+    if not found:
+        return None
+    if len(found) > 1 or not found <= set(known):
+        raise ToolkitError(
+            f"columns in {', '.join(sorted(found))}", path=path, field=", ".join(columns),
+            hint=f"known units: {', '.join(known)}",
+        )  # fmt: skip
+    return found.pop()
+
+
+def _lenses(path: Path, rows: Rows, filed: Sequence[list[str] | None]) -> list[Intrinsics | None]:
+    found: list[Intrinsics | None] = []
+    for (line, _), cells in zip(rows, filed, strict=True):
+        numbers = None if cells is None else _table(path, [(line, cells)], 0)[0]
+        if numbers is not None and not (np.isfinite(numbers).all() and (numbers[:2] > 0).all()):
+            raise ToolkitError(
+                "are no intrinsics", path=path, field=f"line {line}: fx fy cx cy", value=cells
+            )
+        found.append(None if numbers is None else Intrinsics(*numbers.tolist()))
+    return found
 
 
 def _is_number(word: str) -> bool:

@@ -3,14 +3,15 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 from std_toolkit.poses.camera_table import FiledCameras
-from std_toolkit.poses.pose_columns import NANOSECONDS
 from std_toolkit.scene import Frame
+from std_toolkit.scene.time_stamps import stamps_of
 
 # Words of a file name that describe its content, not the frame.
 _ROLE_WORDS = frozenset(
@@ -62,8 +63,7 @@ def match_frames(
         ToolkitError: two poses of one image, no pose of any, or another number of poses than
             frames where only the order could tell.
     """
-    keys = filed.keys
-    if keys is None:
+    if filed.keys is None:
         if len(filed.matrices) != len(frames):
             raise ToolkitError(
                 f"{len(filed.matrices)} poses without image names for {len(frames)} images",
@@ -71,18 +71,12 @@ def match_frames(
                 hint="one pose per image, or write the image's name before each pose",
             )
         return {f.id: i for i, f in enumerate(frames) if i not in filed.lost}
-    if len(set(keys)) < len(keys):
-        twice = Counter(keys).most_common(1)[0][0]
+    named = [keys for keys in (filed.keys, *filed.more_keys) if len(set(keys)) == len(keys)]
+    if not named:
+        twice = Counter(filed.keys).most_common(1)[0][0]
         raise ToolkitError("two poses of one image", path=filed.path, value=twice)
-    ways: list[dict[int, int]] = [
-        _joined(frames, keys, lambda f: f.color.rsplit("/")[-1], _file_name),
-        _joined(frames, keys, lambda f: f.name, _stem),
-        _joined(frames, keys, lambda f: _bare(f.name), lambda k: _bare(_stem(k))),
-        _by_time(frames, keys, max_dt),
-        _by_number(frames, keys, first_number),
-        _joined(frames, keys, lambda f: str(f.id), lambda k: k),
-    ]
-    best = max(ways, key=len) if first_number is None else ways[4]
+    found = [(keys, _best(filed, frames, keys, max_dt, first_number)) for keys in named]
+    keys, best = max(found, key=lambda pair: len(pair[1]))
     if not best:
         raise ToolkitError(
             "no pose of this file belongs to an image of the scene", path=filed.path,
@@ -92,20 +86,42 @@ def match_frames(
     first = next(iter(best))
     shown = next(f.color for f in frames if f.id == first)
     logger.info("%s: %r belongs to %s", what, keys[best[first]], shown)
-    _refuse_from_one(filed, frames, best, first_number)
+    _refuse_other_start(replace(filed, keys=keys), frames, best, first_number)
     best = {frame: row for frame, row in best.items() if row not in filed.lost}
     if not best:
         raise ToolkitError("no image of the scene has a pose in this file", path=filed.path)
     return best
 
 
-def _refuse_from_one(
+def _best(
+    filed: FiledCameras,
+    frames: Sequence[Frame],
+    keys: Sequence[str],
+    max_dt: float,
+    first_number: int | None,
+) -> dict[int, int]:
+    """Row by frame id, by the way that finds most frames."""
+    if first_number is not None:
+        return _by_number(frames, keys, first_number)
+    times = stamps_of([_stem(k) for k in keys], stated=keys is filed.keys and filed.keys_are_times)
+    ways: list[dict[int, int]] = [
+        _joined(frames, keys, lambda f: f.color.rsplit("/")[-1], _file_name),
+        _joined(frames, keys, lambda f: f.name, _stem),
+        _joined(frames, keys, lambda f: _bare(f.name), lambda k: _bare(_stem(k))),
+        _by_time(frames, times, max_dt),
+        _by_number(frames, keys, None),
+        _joined(frames, keys, lambda f: str(f.id), lambda k: k),
+    ]
+    return max(ways, key=len)
+
+
+def _refuse_other_start(
     filed: FiledCameras, frames: Sequence[Frame], found: dict[int, int], first: int | None
 ) -> None:
-    """Refuse poses that count from 1 for images that count from 0, joined by their numbers.
+    """Refuse poses and images joined by their numbers of which one count from 1, one from 0.
 
     Raises:
-        ToolkitError: one pose per image, and each number but the last has an image.
+        ToolkitError: one pose per image, and each number but the first and the last has both.
     """
     if first is not None or filed.keys is None or len(filed.keys) != len(frames):
         return
@@ -117,13 +133,20 @@ def _refuse_from_one(
     by_number = all(
         _number(filed.keys[row]) == _number(_name_of(frames, f)) for f, row in found.items()
     )
-    if by_number and {int(n) for n in poses} == {int(n) + 1 for n in images}:
-        raise ToolkitError(
+    step = min(map(int, poses)) - lowest
+    if by_number and abs(step) == 1 and {int(n) for n in poses} == {int(n) + step for n in images}:
+        alone = (
             f"the pose of the last number, {highest + 1}, has no image, and image {lowest} has no "
-            "pose: counted from 1?",
+            "pose: counted from 1?"
+            if step == 1
+            else f"the last image, {highest}, has no pose, and pose {lowest - 1} has no image: are "
+            "the images counted from 1, such as those of ffmpeg?"
+        )
+        raise ToolkitError(
+            alone,
             path=filed.path,
             value=filed.keys[0],
-            hint=f"--cameras-first {lowest + 1} takes pose {lowest + 1} for the first image, "
+            hint=f"--cameras-first {lowest + step} takes pose {lowest + step} for the first image, "
             f"--cameras-first {lowest} takes the numbers as they are",
         )
 
@@ -162,9 +185,12 @@ def _joined(
     return {f.id: rows[t] for f, t in zip(frames, texts, strict=True) if t in rows}
 
 
-def _by_time(frames: Sequence[Frame], keys: Sequence[str], max_dt: float) -> dict[int, int]:
-    times = np.array([_time(k) for k in keys])
-    stamps = [f.timestamp if f.timestamp is not None else _time(f.name) for f in frames]
+def _by_time(frames: Sequence[Frame], of_keys: Sequence[float], max_dt: float) -> dict[int, int]:
+    times = np.array(of_keys)
+    named = stamps_of([_stem(f.name) for f in frames])
+    stamps = [
+        f.timestamp if f.timestamp is not None else s for f, s in zip(frames, named, strict=True)
+    ]
     if not np.isfinite(times).all() or not any(np.isfinite(s) for s in stamps):
         return {}
     found = {}
@@ -175,13 +201,6 @@ def _by_time(frames: Sequence[Frame], keys: Sequence[str], max_dt: float) -> dic
                 found[frame.id] = nearest
     # Frames without a pose of their own would share that of a neighbour.
     return found if len(set(found.values())) == len(found) else {}
-
-
-def _time(text: str) -> float:
-    stem = _stem(text)
-    if NANOSECONDS.fullmatch(stem):
-        return float(stem) * 1e-9
-    return float(stem) if _SECONDS.fullmatch(stem) else float("nan")
 
 
 def _file_name(key: str) -> str:

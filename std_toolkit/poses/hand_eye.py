@@ -29,7 +29,14 @@ _INVERSE = re.compile(
     r"(gripper|flange|hand|ee|effector|tool0?)(2|to)(cam|camera|eye)|t_?(cam|camera)_?(gripper|"
     r"flange|hand|ee|tool)|(cam|camera)_t_(gripper|flange|hand|ee|tool)"
 )
+# Names of a camera that stands beside the robot.
+_OF_BASE = re.compile(r"(base|world|robot)(_?link)?[_.]?(2|to|t|_)[_.]?(cam|camera|eye)|"
+                      r"(cam|camera|eye)[_.]?(2|to|t|_)[_.]?(base|world|robot)")  # fmt: skip
+_CAMERA = re.compile("cam|optical|rgb|color|depth")
+_FARTHEST_M = 2.0  # between a flange and its camera
 _ROTATIONS = ("rotation", "orientation", "quaternion", "quat", "q")
+_HAND_KEYS = ("eye_on_hand", "eye_in_hand")
+_KIND_KEYS = ("calibration_type", "calib_type", "sensor_mount_type", "mount_type", "setup")
 _MOVES = ("translation", "position", "trans", "t", "xyz")
 
 
@@ -58,6 +65,12 @@ def read_transform(path: Path, *, unit_in_m: float) -> SE3:
     is_mapping = isinstance(document, Mapping)
     M = _of_mapping(document, path) if is_mapping else _of_table(path, document)  # type: ignore[arg-type]
     T = SE3.from_matrix(M)
+    far = float(np.linalg.norm(T.t)) * unit_in_m
+    if far > _FARTHEST_M:
+        raise ToolkitError(
+            "the camera is implausibly far from the flange", path=path, value=f"{far:.4g} m",
+            hint="millimetres? give --hand-eye-unit mm (or cm)",
+        )  # fmt: skip
     return SE3(T.R, T.t * unit_in_m)
 
 
@@ -85,13 +98,14 @@ def _of_table(path: Path, numbers: Any) -> Array:
 
 def _of_mapping(document: Mapping[str, Any], path: Path) -> Array:
     for parameters in (document, *_mappings(document)):
-        on_hand = parameters.get("eye_on_hand")
-        if on_hand is False or str(on_hand).lower() == "false":
-            raise ToolkitError(
-                "the camera of this calibration does not move with the flange", path=path,
-                field="eye_on_hand", value=on_hand,
-                hint="--hand-eye is for a camera on the hand",
-            )  # fmt: skip
+        for key, value in parameters.items():
+            plain, said = str(key).lower(), str(value).lower()
+            if plain == "frame_id" and re.search("base|world", said):
+                raise _beside(path, str(key), value)
+            if (plain in _HAND_KEYS and said in ("false", "0")) or (
+                plain in _KIND_KEYS and re.search("base|to_hand|world", said)
+            ):
+                raise _beside(path, str(key), value)
     found = list(_transforms(document, "", path))
     distinct = [
         f for i, f in enumerate(found) if not any(np.allclose(f[1], g[1]) for g in found[:i])
@@ -103,12 +117,29 @@ def _of_mapping(document: Mapping[str, Any], path: Path) -> Array:
             hint=f"known are {_LAYOUTS}",
         )  # fmt: skip
     name, M = distinct[0]
+    if _OF_BASE.search(name.lower()):
+        raise _beside(path, name, None)
     with located(path, name or None):
         filed = SE3.from_matrix(as_matrix(M, path, name))
-    if _INVERSE.search(name.lower()):
+    parent, child = (_frame_name(document, key) for key in ("frame_id", "child_frame_id"))
+    of_camera = _CAMERA.search(parent) and child and not _CAMERA.search(child)
+    if _INVERSE.search(name.lower()) or of_camera:
         logger.info("%s: %s is read as T_cam_flange and inverted", path, name)
         filed = filed.inverse()
     return filed.matrix()
+
+
+def _frame_name(document: Mapping[str, Any], key: str) -> str:
+    """The name of a coordinate frame in a message of ROS; "" if it states none."""
+    found = (m[key] for m in (document, *_mappings(document)) if key in m)
+    return str(next(found, "")).lower()
+
+
+def _beside(path: Path, key: str, value: Any) -> ToolkitError:
+    return ToolkitError(
+        "the camera of this calibration does not move with the flange", path=path,
+        field=key, value=value, hint="--hand-eye is for a camera on the hand",
+    )  # fmt: skip
 
 
 def _mappings(document: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:

@@ -14,6 +14,7 @@ QuaternionOrder = Literal["wxyz", "xyzw"]
 _ROTATION = re.compile(r"(?:q|quat|quaternion|orientation)[_.]?(?:\w*[_.])?([wxyz])")
 # Nanoseconds since 1970 have 19 digits from 2001 on.
 NANOSECONDS = re.compile(r"\d{19}(\.\d*)?|\d\.\d+e\+?18", re.IGNORECASE)
+_UNIT = re.compile(r"\[(.*?)\]|\((.*?)\)|(?<=[xyz])_(mm|cm|m|deg|rad)$", re.IGNORECASE)
 _POSITION = re.compile(r"(?:p|t|pos|position|trans|translation)[_.]?(?:\w*[_.])?([xyz])")
 
 
@@ -23,13 +24,23 @@ def plain_columns(columns: Sequence[str]) -> list[str]:
     >>> plain_columns(["Name", "pos_x", "q_w"])
     ['name', 'x', 'qw']
     """
-    names = [re.sub(r"\[.*?\]|\(.*?\)", "", c).strip().lower() for c in columns]
+    names = [_UNIT.sub("", c).strip().lower() for c in columns]
     found = []
     for name in names:
         rotation, position = _ROTATION.fullmatch(name), _POSITION.fullmatch(name)
         new = f"q{rotation[1]}" if rotation else position[1] if position else name
         found.append(name if new != name and (new in names or new in found) else new)
     return found
+
+
+def column_units(columns: Sequence[str]) -> list[str]:
+    """The unit that each name states, in lower case; "" if it states none.
+
+    >>> column_units(["x [mm]", "rx(deg)", "y_cm", "z"])
+    ['mm', 'deg', 'cm', '']
+    """
+    found = (_UNIT.search(c.strip()) for c in columns)
+    return [next(filter(None, m.groups()), "").strip().lower() if m else "" for m in found]
 
 
 def columns_of_comment(text: str, width: int) -> list[str] | None:

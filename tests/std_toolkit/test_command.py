@@ -249,6 +249,8 @@ class Collected:
     """may be repeated"""
     take: Mapping[str, str] = field(default_factory=dict, metadata={"repeat": True})
     """may be repeated"""
+    sets: Mapping[str, str] = field(default_factory=dict, metadata={"option": "set"})
+    """several after the option"""
     scene: Scene = field(default_factory=lambda: Scene(hidden=5))
 
 
@@ -260,6 +262,8 @@ def test_sizes_repeated_options_and_structs() -> None:
     )
     assert options == expected
     assert parse_options(Collected, [], "std-draw")[0] == Collected()
+    both, _ = parse_options(Collected, ["--set", "m=A", "n=B"], "std-draw")
+    assert both.sets == {"m": "A", "n": "B"}
 
 
 @pytest.mark.parametrize(
@@ -267,6 +271,7 @@ def test_sizes_repeated_options_and_structs() -> None:
     [
         (["--size", "large"], "--size: expected a size such as 1280x720"),
         (["--take", "m=A", "--take", "m=B"], "--take: given twice"),
+        (["--set", "m=A", "--set", "n=B"], "--set: given twice"),
         (["--hidden", "1"], "--hidden"),
     ],
 )

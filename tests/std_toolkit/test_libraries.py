@@ -22,6 +22,7 @@ STATED = (
     ".cache/fontconfig/",
     ".cache/mesa_shader_cache",
     ".cache/std-toolkit/",
+    ".drjit/",
 )
 
 # Of a process whose home folder is empty: what leaves the machine is an error, and told.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from std_toolkit.cli.command_options import read_settings
+from std_toolkit.cli.command import read_settings
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs import JobOptions, run_jobs

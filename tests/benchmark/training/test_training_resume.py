@@ -14,7 +14,7 @@ import pytest
 import torch
 from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
 
-from benchmark.training.run_files import CHECKPOINT
+from benchmark.training.run_files import CHECKPOINT, is_trained
 from std_toolkit.cli.command import exit_status
 from std_toolkit.errors import ToolkitError
 
@@ -172,12 +172,30 @@ def test_a_folder_of_something_else_is_left_alone(pack, tmp_path):
         trained(wishes("dfnet", pack, steps=1), tmp_path)
 
 
-def test_a_checkpoint_that_is_none_is_told(pack, tmp_path):
-    asked = wishes("dfnet", pack, steps=2)
-    trained(asked, tmp_path / "run")
-    (tmp_path / "run" / CHECKPOINT).write_bytes(b"PK nonsense")
+def test_files_that_changed_are_told_or_made_again(pack, tmp_path):
+    asked, run = wishes("dfnet", pack, steps=2), tmp_path / "run"
+    whole = trained(asked, run)
+    last, checkpoint, best = (run / n for n in ("last.safetensors", CHECKPOINT, "best.safetensors"))
+    assert is_trained(run)
+    damaged = bytearray(last.read_bytes())
+    damaged[-400:] = bytes(400)  # a header that promises the same tensors
+    last.unlink()  # `whole` is mapped from it
+    last.write_bytes(damaged)
+    assert not is_trained(run)
+    assert same(whole, trained(asked, run)) and is_trained(run)
+    for path in (best, checkpoint):
+        data = path.read_bytes()
+        path.unlink()
+        path.write_bytes(data[:-400] + bytes(400))
+        with pytest.raises(ToolkitError, match=f"{path.name}.*changed or damaged"):
+            trained(asked, run)
+        path.write_bytes(data)
+    (run / "digests.json").unlink()  # as in trainings of 0.1.0
+    assert same(whole, trained(asked, run))
+    checkpoint.write_bytes(b"PK nonsense")
+    (run / "digests.json").unlink()
     with pytest.raises(ToolkitError, match="not a checkpoint of std-train"):
-        trained(asked, tmp_path / "run")
+        trained(asked, run)
 
 
 @pytest.mark.slow

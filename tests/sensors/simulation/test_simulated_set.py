@@ -73,6 +73,31 @@ def test_what_is_there_is_kept(made: Path, shapes: Path, capsys: pytest.CaptureF
     assert contents(made / "DREDS-CatKnown") == before
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "DREDS-CatKnown/train/00001/0001_simDepthImage.exr",
+        "scenes/00001/depth/000001.exr",
+        "cad_model",
+    ],
+)
+def test_a_file_that_changed_is_named(
+    name: str, made: Path, shapes: Path, capsys: pytest.CaptureFixture
+) -> None:
+    both = ("--layout", "dreds", "--layout", "scene")
+    path = made / name
+    path = path if path.is_file() else next(path.rglob("*.obj"))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    try:
+        assert main(arguments(made, shapes, "--scenes", "2", "--engine", "serial", *both)) == 1
+    finally:
+        path.write_bytes(data)
+    said = capsys.readouterr()
+    assert f"{path.name} changed since the scene was made" in said.err + said.out
+    assert main(arguments(made, shapes, "--scenes", "2", "--engine", "serial", *both)) == 0
+
+
 def has_frames(folder: Path) -> bool:
     """Whether a frame was written below a folder, which the program removes between scenes."""
     return any(name.endswith("_meta.txt") for _, _, names in os.walk(folder) for name in names)

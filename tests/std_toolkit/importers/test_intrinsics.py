@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from std_toolkit.errors import ToolkitError
@@ -164,3 +165,21 @@ def test_cropped_images_on_request():
     with pytest.raises(ToolkitError, match="--off-centre"):
         given.camera((600, 480), path="k")
     assert given.camera((600, 480), path="k", off_centre=True).cx == 400
+
+
+def test_arrays_of_numpy_by_name(tmp_path) -> None:
+    """`np.savez("calib.npz", mtx=mtx, dist=dist)` after OpenCV's calibrateCamera."""
+    K = np.array([[60.0, 0, 31], [0, 61, 24], [0, 0, 1]])
+    np.savez(tmp_path / "calib.npz", mtx=K, dist=[[-0.28, 0.07, 0.0002, 1.7e-05, 0.01]], rms=0.3)
+    found = read_intrinsics(str(tmp_path / "calib.npz"))
+    assert (found.fx, found.fy, found.cx, found.cy) == (60, 61, 31, 24)
+    assert found.distortion == (-0.28, 0.07, 0.0002, 1.7e-05, 0.01)
+    (tmp_path / "calib.pkl").write_bytes(b"\x80\x04N.")
+    with pytest.raises(ToolkitError, match=r"calib.pkl: files of pickle.*\.npz"):
+        read_intrinsics(str(tmp_path / "calib.pkl"))
+
+
+def test_a_size_in_words_is_width_and_height(tmp_path) -> None:
+    path = tmp_path / "k.json"
+    path.write_text('{"fx": 60, "fy": 61, "cx": 31, "cy": 24, "resolution": "128x96"}')
+    assert read_intrinsics(str(path)).size == (128, 96)

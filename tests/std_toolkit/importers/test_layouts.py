@@ -104,3 +104,13 @@ def test_other_folders_are_none(tmp_path: Path) -> None:
     assert find_layout(tmp_path) is None
     with pytest.raises(ToolkitError, match="cannot detect the format"):
         detect_format(tmp_path)
+
+
+def test_folders_of_tum_have_its_unit_as_options_too(tmp_path: Path) -> None:
+    root = write(tmp_path / "rec", "tum")
+    request = ImportRequest(
+        source=root / "rgb", name="s", color=str(root / "rgb"), depth=str(root / "depth"),
+        intrinsics="60,60,31.5,23.5",
+    )  # fmt: skip
+    scene = import_recording(request, tmp_path / "scene")
+    assert scene.info.depth_scale == 0.0002

@@ -223,6 +223,10 @@ REFUSED: dict[str, tuple[str, str]] = {
                            "2 cameras.*0, 1"),
     "an alias": ("a: &x [1, 2]\nK: *x\n", "aliases"),
     "a doctype": ("<!DOCTYPE a [<!ENTITY b 'c'>]><a><fx>1</fx></a>", "DOCTYPE"),
+    "a model behind numbers of its own": (lines(
+        model_type="MEI", projection_parameters={"gamma1": 60, "u0": 31}), "model_type.*MEI"),
+    "no camera": (json.dumps({"CalibrationInformation": {}}), "fx.*'CalibrationInformation'"),
+    "k1 alone": (json.dumps({**NUMBERS, "dist": [-0.28]}), "needs 4, 5 or 8 coefficients"),
     "deep": ("K: " + "[" * 60 + "]" * 60, "nested deeper"),
 }  # fmt: skip
 

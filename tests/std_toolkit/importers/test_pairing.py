@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -130,10 +131,58 @@ def test_an_index_and_a_time_that_agree_pair(tmp_path, caplog):
     assert "paired by index and time in their names; 0 left out" in caplog.text
 
 
+def test_half_a_period_does_not_contradict_the_index(tmp_path, caplog):
+    """Depth 17.0 ms after its colour and 16.3 ms before the next: the handed case."""
+    color = indexed(tmp_path / "rgb", {i + 1: 33_333 * i for i in range(4)})
+    depth = indexed(tmp_path / "depth", {i + 1: 33_333 * i + 17_000 for i in range(4)})
+    found = paired(color, depth)
+    assert [k.split("-")[0] for k in found[0]] == [p.stem.split("-")[0] for p in found[1].values()]
+    assert len(found[0]) == 4 and "depth is 0.51 periods after colour" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"),
+    [
+        ("1305031102 1305031102.5 1305031103", "1305031102.01 1305031102.51 1305031103.01"),
+        ("1305031102 1305031103 1305031104", "1305031102.1 1305031103.1 1305031104.1"),
+        ("1305031102175 1305031102208 1305031102241", "1305031102180 1305031102213 1305031102246"),
+        ("1403636579763555584 1403636579813555456", "1403636579764555584 1403636579814555456"),
+        ("1403636579763555584 1403636579813555456", "1403636579764555 1403636579814555"),
+        ("0.000 0.033 0.067", "0.004 0.037 0.071"),
+    ],
+)
+def test_time_stamps_of_any_unit_pair(color: str, depth: str, tmp_path):
+    folders = [
+        {s: touch(tmp_path / kind, f"{s}.png") / f"{s}.png" for s in stamps.split()}
+        for kind, stamps in (("rgb", color), ("depth", depth))
+    ]
+    found = paired(*folders)
+    assert list(found[0]) == color.split()
+    assert [p.stem for p in found[1].values()] == depth.split()
+    assert len(found[2]) == len(color.split())
+
+
+@pytest.mark.parametrize(
+    ("color", "depth"),
+    [
+        ("1.1 1.2 1.3", "1.4 1.5 1.6"),  # views of places
+        ("0000000001 0000000002", "0000000003 0000000004"),  # indices of ten digits
+        ("1305031102.1 1305031102.2", "0.101 0.201"),  # two clocks
+    ],
+)
+def test_other_numbers_are_no_time_stamps(color: str, depth: str, tmp_path):
+    folders = [
+        {s: touch(tmp_path / kind, f"{s}.png") / f"{s}.png" for s in stamps.split()}
+        for kind, stamps in (("rgb", color), ("depth", depth))
+    ]
+    with pytest.raises(ToolkitError, match="do not pair by name"):
+        paired(*folders)
+
+
 @pytest.mark.parametrize(
     "late",
     [
-        {i: 33_333 * i + 17_000 for i in range(1, 6)},  # nearer to the next image
+        {i: 33_333 * i + 21_000 for i in range(1, 6)},  # nearer to the next image
         {i + 1: 33_333 * i + 4_000 for i in range(1, 6)},  # counts of its own
         {1: 37_000, 2: 70_000, 3: 137_000, 4: 170_000, 5: 203_000},  # one was lost
     ],
@@ -180,3 +229,29 @@ def test_an_existing_folder_is_no_pattern(tmp_path):
     folder = touch(tmp_path / "rec [1]", "1.png", "2.png")
     assert list(list_images(str(folder), (".png",), role="color")) == ["1", "2"]
     assert list(list_images(str(folder / "*.png"), (".png",), role="color")) == ["1", "2"]
+
+
+def test_a_list_that_contradicts_the_names_asks(tmp_path):
+    color = images(tmp_path / "rgb", "1.png", "2.png", "3.png")
+    depth = images(tmp_path / "depth", "1.png", "2.png", "3.png")
+    (tmp_path / "associations.txt").write_text(
+        "1 rgb/1.png 1 depth/2.png\n2 rgb/2.png 2 depth/3.png"
+    )
+    with pytest.raises(ToolkitError, match=r"colour 1 with depth 2.*--pair list.*--pair name"):
+        paired(color, depth)
+    assert names_of(paired(color, depth, by="list")) == [("1.png", "2.png"), ("2.png", "3.png")]
+    assert len(names_of(paired(color, depth, by="name"))) == 3
+    (tmp_path / "associations.txt").unlink()
+    with pytest.raises(ToolkitError, match=r"no list of pairs"):
+        paired(color, depth, by="list")
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_an_entry_that_is_no_file_is_named(kind, tmp_path):
+    folder = touch(tmp_path / "rgb", "1.png", "2.png")
+    if kind == "link":
+        (folder / "3.png").symlink_to(tmp_path / "not mounted" / "3.png")
+    else:
+        os.mkfifo(folder / "3.png")
+    with pytest.raises(ToolkitError, match=r"3\.png: is a (link to nothing|pipe)"):
+        list_images(str(folder), (".png",), role="color")

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from std_toolkit.cli.command_options import read_settings
+from std_toolkit.cli.command import read_settings
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.documents import read_document
@@ -283,5 +283,5 @@ def test_no_document_is_read_as_a_bare_dict() -> None:
         and name not in UNTYPED
     ]
     # Limits are checked one by one.
-    wrong = [line for line in wrong if not line.startswith("std_toolkit/cli/command_options.py")]
+    wrong = [line for line in wrong if not line.startswith("std_toolkit/cli/command.py")]
     assert not wrong, "give the structure of the document"

@@ -235,3 +235,21 @@ def test_a_texture_whose_name_names_no_file_is_an_error_of_the_file(
     with pytest.raises(ToolkitError, match="names no file") as refused:
         load_mesh(path)
     assert str(refused.value.path) == str(tmp_path / "box.mtl")
+
+
+@pytest.mark.parametrize("scale", [1, 255])
+def test_colours_of_vertices_in_an_obj(scale: int, tmp_path: Path) -> None:
+    """Some programs write 0 to 255 where the format has 0 to 1."""
+    color = " ".join(f"{c * scale / 255:.6g}" for c in RED)
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in BOX.faces]
+    path = obj(tmp_path / "box.obj", *(f"{v} {color}" for v in VERTICES), *faces)
+    assert colors_of(copied(path)) == {RED}
+
+
+def test_a_texture_of_ambient_light_is_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    picture(tmp_path / "t.png", RED)
+    (tmp_path / "m.mtl").write_text("newmtl A\nmap_Ka t.png\n")
+    copied(obj(tmp_path / "m.obj", "mtllib m.mtl", *VERTICES, *UV, "usemtl A", *FACES))
+    assert "map_ka without map_Kd" in caplog.text

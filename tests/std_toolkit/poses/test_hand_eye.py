@@ -47,6 +47,11 @@ FILES = {
     "opencv_4x4.yml": "%YAML:1.0\n" + opencv("HandEye", M),
     "text.txt": "\n".join(" ".join(map(repr, row)) for row in M.tolist()),
     "inverse.json": json.dumps({"T_cam_gripper": TRUE.inverse().matrix().tolist()}),
+    "easy2.yaml": "parameters:\n  calibration_type: eye_in_hand\n" + EASY,
+    "echo_camera.yaml": json.dumps({
+        "header": {"frame_id": "camera_color_optical_frame"}, "child_frame_id": "tool0",
+        "transform": {"translation": dict(zip("xyz", TRUE.inverse().t.tolist(), strict=True)),
+                      "rotation": {**{c: -Q[c] for c in "xyz"}, "w": W}}}),
     "gripper2cam.yml": "%YAML:1.0\n" + opencv("R_gripper2cam", TRUE.inverse().R)
     + opencv("t_gripper2cam", TRUE.inverse().t[:, None]),
 }  # fmt: skip
@@ -64,6 +69,17 @@ REFUSED = {
     "order.json": (json.dumps({"rotation": [X, Y, Z, W], "translation": [1, 2, 3]}), "order"),
     "seven.txt": ("0.01 0.02 0.05 0 0 0 1\n", "seven numbers.*order"),
     "base.yaml": ("parameters:\n  eye_on_hand: false\n" + EASY, "eye_on_hand"),
+    "base2.yaml": ("parameters:\n  calibration_type: eye_on_base\n" + EASY, "calibration_type"),
+    "base_frame.yaml": (
+        "header:\n  frame_id: base_link\nchild_frame_id: camera\n" + EASY,
+        "frame_id",
+    ),
+    "base.json": (json.dumps({"base_T_cam": M.tolist()}), "base_T_cam.*does not move"),
+    "cam2base.json": (json.dumps({"cam2base": M.tolist()}), "cam2base.*does not move"),
+    "mm.json": (
+        json.dumps({"T": (M + 50 * np.eye(4, 4, 3)).tolist()}),
+        "50.* m.*--hand-eye-unit mm",
+    ),
     "other.yaml": ("a: 1\nb: 2\n", "not a hand-eye calibration.*easy_handeye"),
     "two.json": (json.dumps({"a": M.tolist(), "b": np.eye(4).tolist()}), "several transforms"),
     "words.txt": ("take the usual one\n", "not a hand-eye calibration.*easy_handeye"),

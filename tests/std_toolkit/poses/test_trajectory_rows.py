@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from pathlib import Path
@@ -187,3 +188,113 @@ def test_the_option_without_effect_is_refused(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "m.txt", np.array([T.flat() for T in poses(5)]))
     with pytest.raises(ToolkitError, match="no quaternions whose order is open"):
         found(tmp_path / "m.txt", cameras_quaternion="wxyz")
+
+
+def stray(path: Path, *, lens: bool = False, first: int = 0) -> list[SE3]:
+    """odometry.csv of Stray Scanner, whose header has spaces."""
+    some = poses(5)
+    more = ", fx, fy, cx, cy, distortion_center_x" if lens else ""
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw" + more]
+    for i, T in enumerate(some):
+        w, x, y, z = T.quat()
+        cells = [
+            f"{100 + i / 60:.6f}",
+            f"{i + first:06d}",
+            *(f"{v:.15g}" for v in (*T.t, x, y, z, w)),
+        ]
+        rows.append(
+            ", ".join([*cells, *((f"{1600 + i}.0", "1600.0", "960", "720", "") if lens else ())])
+        )
+    path.write_text("\n".join(rows) + "\n")
+    return some
+
+
+def numbered(first: int = 0, stamps: list[float] | None = None) -> list[Frame]:
+    return [
+        Frame(
+            id=i, name=f"{i + first:06d}", color=f"color/{i + first:06d}.png",
+            timestamp=stamps[i] if stamps else None,
+        )
+        for i in range(5)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("stamps", [None, [5.0 + i / 60 for i in range(5)]])
+def test_odometry_of_stray_scanner_belongs_by_its_frames(stamps, tmp_path: Path) -> None:
+    """The images have no time, or that of another clock."""
+    truth = stray(tmp_path / "odometry.csv")
+    got = found(tmp_path / "odometry.csv", numbered(stamps=stamps))
+    np.testing.assert_allclose(got, [T.matrix() for T in truth], atol=1e-9)
+    with pytest.raises(ToolkitError, match=r"images counted from 1.*--cameras-first 0"):
+        found(tmp_path / "odometry.csv", numbered(1))
+    late = found(tmp_path / "odometry.csv", numbered(1), cameras_first=0)
+    np.testing.assert_allclose(late, got)
+
+
+def test_intrinsics_of_each_row_are_read(tmp_path: Path, caplog) -> None:
+    stray(tmp_path / "odometry.csv", lens=True)
+    with caplog.at_level("INFO", "std_toolkit"):
+        filed = read_cameras(tmp_path / "odometry.csv")
+    assert [x.fx for x in filed.lenses if x] == [1600, 1601, 1602, 1603, 1604]
+    assert "columns that are not read: distortion_center_x" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ["1305031102", "1305031102.5", "1305031103", "1305031103.5", "1305031104"],
+        ["1305031102", "1305031103", "1305031104", "1305031105", "1305031106"],
+        ["3", "4", "5", "6", "7"],
+    ],
+)
+@pytest.mark.parametrize("head", ["timestamp,x,y,z,qx,qy,qz,qw\n", ""])
+def test_whole_seconds_are_times(stamps: list[str], head: str, tmp_path: Path) -> None:
+    if not head and stamps[0] == "3":
+        return  # without a header these are indices
+    some, rows = poses(5), []
+    for s, T in zip(stamps, some, strict=True):
+        w, x, y, z = T.quat()
+        rows.append([s, *(f"{v:.15g}" for v in (*T.t, x, y, z, w))])
+    sep = "," if head else " "
+    (tmp_path / "t.csv").write_text(head + "\n".join(map(sep.join, rows)))
+    frames = numbered(stamps=[float(s) + 0.004 for s in stamps])
+    np.testing.assert_allclose(
+        found(tmp_path / "t.csv", frames), [T.matrix() for T in some], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("head", "unit", "angle"),
+    [
+        ("name,x [mm],y [mm],z [mm],rx,ry,rz", 0.001, 1.0),
+        ("name,x_cm,y_cm,z_cm,rx(deg),ry(deg),rz(deg)", 0.01, np.pi / 180),
+        ("name,x(m),y(m),z(m),rx_rad,ry_rad,rz_rad", 1.0, 1.0),
+    ],
+)
+def test_units_of_a_header(head: str, unit: float, angle: float, tmp_path: Path) -> None:
+    rows = [f"{i:06d}.png,{10 * i},0,5,0.1,0.2,{0.3 * i}" for i in range(5)]
+    (tmp_path / "t.csv").write_text("\n".join([head, *rows]))
+    got = found(tmp_path / "t.csv", numbered())
+    for i, T in enumerate(got):
+        turn = SE3.exp(np.array([0, 0, 0, 0.1, 0.2, 0.3 * i]) * angle).R
+        np.testing.assert_allclose(T[:3, :3], turn, atol=1e-9)
+        np.testing.assert_allclose(T[:3, 3], np.array([10 * i, 0, 5]) * unit, atol=1e-9)
+    for odd in ("name,x [in],y [in],z [in],rx,ry,rz", "name,x [mm],y [m],z [m],rx,ry,rz"):
+        (tmp_path / "t.csv").write_text("\n".join([odd, *rows]))
+        with pytest.raises(ToolkitError, match=r"x, y, z: columns in .*known units"):
+            read_cameras(tmp_path / "t.csv")
+
+
+def test_poses_of_a_packed_array_and_of_another_scale(tmp_path: Path, caplog) -> None:
+    matrices = np.array([T.matrix() for T in poses(5)])
+    np.savez(tmp_path / "t.npz", poses=matrices)
+    np.testing.assert_allclose(read_cameras(tmp_path / "t.npz").matrices, matrices, atol=1e-12)
+    np.savez(tmp_path / "two.npz", a=matrices, b=matrices)
+    with pytest.raises(ToolkitError, match="several arrays"):
+        read_cameras(tmp_path / "two.npz")
+    frames = [
+        {"file_path": f"{i}.png", "transform_matrix": M.tolist()} for i, M in enumerate(matrices)
+    ]
+    (tmp_path / "transforms.json").write_text(json.dumps({"applied_scale": 0.5, "frames": frames}))
+    read_cameras(tmp_path / "transforms.json")
+    assert "applied_scale is 0.5" in caplog.text
