@@ -146,7 +146,9 @@ class Run(FrameRun[Restorer]):
     def answers(self, data: splits.DepthSource) -> DepthFolder | None:
         if self.depth_from is None:
             return None
-        return DepthFolder(self.depth_from, self.split, self.depth_unit, data.keys())
+        return DepthFolder(
+            self.depth_from, self.split, unit=self.depth_unit, keys=data.keys()
+        )
 
     def load(self, data: splits.DepthSource, index: int) -> DepthFrame:
         return data.load(index)
