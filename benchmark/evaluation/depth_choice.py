@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame
 from benchmark.data.predictions import DepthFolder
 from benchmark.data.splits import FrameKey
+from benchmark.evaluation.config import AS_FILED
 from benchmark.evaluation.frames import error_line, restore_views
 from benchmark.evaluation.values import plain_label
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
@@ -28,9 +29,10 @@ class DepthChoice:
     """One of the depths that poses are fitted to.
 
     Attributes:
-        name: `raw`, `gt`, the name of a restorer, or the name given to a folder of depth.
+        name: `raw`, `gt`, the name of a restorer, the name given to a folder of depth, or
+            `as-filed`.
         options: options of the restorer.
-        folder: folder of depth written by `std-bench --save-depth`; otherwise None.
+        folder: folder of saved depth, or of poses that are `as-filed`; otherwise None.
     """
 
     name: str
@@ -56,7 +58,7 @@ def depth_choice(text: str) -> DepthChoice:
     """
     name, equals, folder = text.partition("=")
     if equals:
-        if name in (RAW, TRUE, *restorers.names()) or not name:
+        if name in (RAW, TRUE, AS_FILED, *restorers.names()) or not name:
             raise ToolkitError(
                 "depth in a folder needs a name of its own", field="depth", value=text
             )

@@ -408,6 +408,6 @@ def frame_options(
         "root": data_of(split, config.roots),
         "method": method,
         "options": options[method],
-        "label": checked_label(config.label or plain_label(method)),
+        "label": config.labels.get(method) or checked_label(plain_label(method)),
         **{name: getattr(config, name) for name in _OF_CONFIG},
     }

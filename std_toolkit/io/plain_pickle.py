@@ -73,7 +73,7 @@ def _array(shape: Any, kind: Any, order: Any, data: Any) -> NDArray[Any]:
     if min(sizes, default=0) < 0 or math.prod(sizes) * dtype.itemsize != len(data):
         raise ValueError("an array of another size than its bytes")
     order = "F" if order == "F" else "C"
-    return np.frombuffer(data, dtype).reshape(sizes, order=order)  # type: ignore[call-overload]
+    return np.frombuffer(data, dtype).reshape(sizes, order=order)
 
 
 def _begin(*_: Any) -> _Array:

@@ -31,7 +31,7 @@ from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstanc
 from benchmark.evaluation.probes import answer_figures, probe_color, probe_holes
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, TABLE, UNREAD
 from benchmark.evaluation.tasks import depth_results
-from benchmark.evaluation.values import checked_label
+from benchmark.evaluation.values import check_folders, folders_by_name
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
@@ -146,9 +146,7 @@ class Run(FrameRun[Restorer]):
     def answers(self, data: splits.DepthSource) -> DepthFolder | None:
         if self.depth_from is None:
             return None
-        return DepthFolder(
-            self.depth_from, self.split, unit=self.depth_unit, keys=data.keys()
-        )
+        return DepthFolder(self.depth_from, self.split, unit=self.depth_unit, keys=data.keys())
 
     def load(self, data: splits.DepthSource, index: int) -> DepthFrame:
         return data.load(index)
@@ -249,7 +247,7 @@ def plan_runs(config: DepthConfig) -> list[Run]:
         ToolkitError: weights or settings for a method that is not requested, a split without
             data, two methods of one name, no unit, or a label that cannot be the name of a folder.
     """
-    folders = folders_by_name(config.methods)
+    folders = folders_by_name(config.methods, restorers.names())
     if folders and (config.probes or config.depth_from is not None):
         option = "--probe" if config.probes else "--depth-from"
         raise ToolkitError(
@@ -269,32 +267,8 @@ def plan_runs(config: DepthConfig) -> list[Run]:
             known |= {"label": name, "speed": False}
         unit = units.get(name)
         runs.append(Run(**known, protocol=protocol, depth_from=folder, depth_unit=unit))
-    if len({run.folder for run in runs}) < len(runs):
-        labels = [run.label for run in runs]
-        twice = next(
-            x for x in labels if labels.count(x) > len(config.splits) * len(config.protocols)
-        )
-        raise ToolkitError("two methods have this name", field="--method", value=twice)
+    check_folders([run.folder for run in runs], [run.label for run in runs])
     return runs
-
-
-def folders_by_name(methods: Sequence[str]) -> dict[str, tuple[str, Path]]:
-    """Return name and folder of each method that is NAME=DIR, by its text.
-
-    Raises:
-        ToolkitError: the name of another method, or one that cannot be the name of a folder.
-    """
-    found = {}
-    for text in methods:
-        name, equals, folder = text.partition("=")
-        if not equals or ":" in name:
-            continue
-        if name in restorers.names():
-            raise ToolkitError(
-                "predictions in a folder need a name of their own", field="--method", value=text
-            )
-        found[text] = (checked_label(name), Path(folder))
-    return found
 
 
 def units_by_name(texts: Sequence[str], names: Sequence[str]) -> dict[str, float]:

@@ -42,7 +42,7 @@ GRASP_FOLDER, STRIPS = "grasp", "strips"
 _ROUNDS = 6
 
 _OF_CONFIG = (
-    "label", "seed", "out", "camera", "attempts", "move", "meshes", "meshes_unit", "scenes",
+    "seed", "out", "camera", "attempts", "move", "meshes", "meshes_unit", "scenes",
     "devices", "save_views",
 )  # fmt: skip
 
@@ -271,8 +271,11 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
         *(p for p in planners if p != ORACLE),
     ]
     options = options_by_method(config, names)
-    for name in (*(d.name for d in depths), *planners, *filter(None, [config.label])):
+    for name in (*(d.name for d in depths), *planners):
         checked_label(plain_label(name))
+    labels = config.labels
+    if "" in labels:
+        labels = {planners[0]: labels[""]}
     rounds = config.rounds or (len(open_scene_tables(config.scenes)) if config.scenes else _ROUNDS)
     depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
     return [
@@ -280,6 +283,7 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             **{name: getattr(config, name) for name in _OF_CONFIG},
             depth=depth,
             planner=planner,
+            label=labels.get(planner),
             rounds=rounds,
             planner_options=options.get(planner, MethodOptions()),
             gripper=gripper,

@@ -321,7 +321,7 @@ def plan_dump(dump: Path, config: GraspConfig) -> list[DumpRun]:
             split=config.graspnet_split,
             camera=config.graspnet_camera,
             contacts=config.contacts,
-            label=checked_label(config.label or dump.resolve().name),
+            label=config.labels.get("dump") or checked_label(dump.resolve().name),
             out=config.out,
         )
     ]
