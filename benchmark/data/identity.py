@@ -109,6 +109,13 @@ def data_digest(content: pd.DataFrame) -> str:
     return digest_of(rows.to_numpy().tolist(), versioned=False)
 
 
+def answers_digest(content: pd.DataFrame) -> str:
+    """Return one digest of all saved answers that were read; "" without any."""
+    rows = content[content[CONTENT].str.startswith(_SAVED) & (content[DIGEST] != "")]
+    values = rows[[SCENE, FRAME, CONTENT, DIGEST]].to_numpy().tolist()
+    return digest_of(values, versioned=False) if values else ""
+
+
 def changed_content(then: pd.DataFrame, now: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of `now` whose content is not that of `then`, and those that only one has."""
     keys = [INDEX, SCENE, FRAME, CONTENT]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from benchmark.data.identity import SAVED_DEPTH
+from benchmark.data.predictions import SUFFIXES
+from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import GraspConfig, options_by_method
 from benchmark.evaluation.depth_choice import DepthChoice, depth_choice
 from benchmark.evaluation.engine import Task, TaskRun
@@ -186,6 +189,19 @@ class GraspRun(TaskRun[None, Methods]):
             depth_weights=str(depth.weights or ""),
             **circumstances(),
         )
+
+    def frames_there(self, data: None) -> int:  # noqa: ARG002
+        return self.rounds
+
+    def inputs(self, data: None) -> Iterator[tuple[int, FrameKey, Inputs]]:  # noqa: ARG002
+        """Yield the saved depth of the views of each round: which views come, grasps decide."""
+        if self.depth.folder is None:
+            return
+        for index in range(self.rounds):
+            folder = self.depth.folder / scene_name(index)
+            paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
+            found = {f"{SAVED_DEPTH} {path.relative_to(folder)}": path for path in paths}
+            yield index, FrameKey(scene_name(index), ""), found
 
     def items(self, data: None, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
         return [i for i in range(self.rounds) if i not in done]

@@ -162,7 +162,7 @@ class PoseRun(FrameRun[Methods]):
         chosen = self.chosen(data)
         for index in chosen[:1]:
             load_pose_frame(data, index)
-        if isinstance(answers := self.answers(data), PoseFolder):
+        if self.is_filed and isinstance(answers := self.answers(data), PoseFolder):
             keys = data.keys()
             check_poses(answers, [keys[index] for index in chosen])
 
