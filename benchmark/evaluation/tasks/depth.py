@@ -30,15 +30,18 @@ from benchmark.evaluation.frames import (
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
 from benchmark.evaluation.probes import answer_figures, probe_color, probe_holes
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, TABLE, UNREAD
+from benchmark.evaluation.submission import SUBMISSION, read_submission
 from benchmark.evaluation.tasks import depth_results
 from benchmark.evaluation.values import check_folders, folders_by_name
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
 from benchmark.methods.registry import make_restorer, restorers
+from benchmark.methods.training_data import training_data
 from benchmark.metrics.protocols.protocol import Protocol, get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import write_document
 from std_toolkit.io.exr import write_exr
 from std_toolkit.log import logger
 
@@ -100,6 +103,7 @@ class Run(FrameRun[Restorer]):
     def check(self, data: splits.DepthSource) -> None:
         self._check_frames(data)
         if isinstance(data, WithSavedDepth):
+            read_submission(data.answers.folder)
             told = check_predictions(data, self.chosen(data))
             logger.info("%s: %s of %s", self.title, told, data.answers.folder)
 
@@ -140,6 +144,7 @@ class Run(FrameRun[Restorer]):
             setup=setup,
             root=str(self.root),
             weights=str(self.options.weights or ""),
+            training_data=training_data(self.method, methods, self.options),
             **circumstances(),
         )
 
@@ -222,7 +227,13 @@ class Run(FrameRun[Restorer]):
         return found
 
     def after(self) -> None:
-        """Measure speed and save pictures of a few frames, unless they exist."""
+        """Measure speed and save pictures of a few frames, unless they exist; keep what the author
+        of predictions says of them."""
+        said = None if self.depth_from is None else read_submission(self.depth_from)
+        if said is None:
+            (self.folder / SUBMISSION).unlink(missing_ok=True)
+        else:
+            write_document(self.folder / SUBMISSION, said)
         if self.speed:
             from benchmark.evaluation.tasks.depth_speed import write_speed
 

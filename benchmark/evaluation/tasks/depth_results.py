@@ -22,7 +22,8 @@ from benchmark.evaluation.results import (
     read_known,
     read_table,
 )
-from benchmark.evaluation.tasks.depth_speed import SPEED, Speed
+from benchmark.evaluation.submission import Submission, read_submission
+from benchmark.evaluation.tasks.depth_speed import SPEED, Speed, SpeedClass, speed_class
 from benchmark.metrics.depth.figures import COVERAGE, FIGURES, NAMES
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import mean_interval
@@ -162,9 +163,28 @@ class RunResult(Result[Manifest]):
 
     Attributes:
         speed: measured speed; None if not measured.
+        said: what the author of predictions in a folder says of them, if anything.
     """
 
     speed: Speed | None
+    said: Submission | None = None
+
+    @property
+    def speed_class(self) -> SpeedClass:
+        """Class in which the method is ranked."""
+        return speed_class(self.speed, self.manifest.setup.device, self.said)
+
+    @property
+    def preset(self) -> str:
+        """Size of the network; "" of methods without one."""
+        setup = self.manifest.setup
+        network = self.speed is not None and self.speed.parameters is not None
+        return setup.preset if network or setup.weights_sha256 else ""
+
+    @property
+    def training_data(self) -> str:
+        """What the method was trained on; "" if nobody says."""
+        return self.manifest.training_data or (self.said.training_data if self.said else "")
 
     @property
     def title(self) -> str:
@@ -199,6 +219,7 @@ def read_run(folder: Path) -> RunResult:
         manifest,
         table,
         read_document(speed, Speed) if speed.exists() else None,
+        read_submission(folder),
         data=known,
     )
     return result.at(result.named)

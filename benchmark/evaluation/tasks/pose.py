@@ -37,6 +37,7 @@ from benchmark.evaluation.values import check_folders, checked_label, folders_by
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.protocol import Estimated, PoseAnswer, PoseEstimator, PoseView
 from benchmark.methods.registry import MethodOptions, make_pose_method, pose_methods
+from benchmark.methods.training_data import training_data
 from benchmark.metrics.pose import PoseProtocol
 from std_toolkit.errors import ToolkitError
 
@@ -193,6 +194,8 @@ class PoseRun(FrameRun[Methods]):
             root=str(self.root),
             weights=str(self.options.weights or ""),
             depth_weights=str(self.depth.options.weights or ""),
+            training_data=training_data(self.method, method, self.options),
+            depth_training_data=depths.training_data,
             **circumstances(),
         )
 
