@@ -207,7 +207,9 @@ class WithSavedDepth:
         return self.source.files()
 
 
-def check_predictions(data: WithSavedDepth, frames: Sequence[int], *, tried: int = 5) -> str:
+def check_predictions(
+    data: WithSavedDepth, frames: Sequence[int], *, tried: int = 5, metric: bool = True
+) -> str:
     """Look at a few predictions before all are scored.
 
     The unit is never taken from the truth; but depth that is another unit off is refused.
@@ -216,6 +218,7 @@ def check_predictions(data: WithSavedDepth, frames: Sequence[int], *, tried: int
         data: the frames.
         frames: those that are to be scored.
         tried: number of predictions to read, spread over the frames.
+        metric: whether they are to be metres; else no unit is wrong.
 
     Returns:
         What the files are, for people: type, unit, median depth.
@@ -246,6 +249,8 @@ def check_predictions(data: WithSavedDepth, frames: Sequence[int], *, tried: int
     path = data.answers.path(keys[there[0]])
     unit = data.answers.unit or (1.0 if _stored(path).dtype.kind == "f" else 0.001)
     told = next((name for name, metres in UNITS.items() if metres == unit), f"{unit:g} m")
+    if not metric:
+        return f"{path.suffix}, aligned"
     if not ratios:
         return f"{path.suffix} in {told}"
     ratio = float(np.median(ratios))

@@ -16,7 +16,7 @@ from benchmark.evaluation.tasks.depth_results import (
     summarise,
     summarise_seen,
 )
-from benchmark.metrics.depth.figures import COVERAGE, FIGURES
+from benchmark.metrics.depth.figures import FIGURES, shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods
 from benchmark.published.load import published_depth, published_speed
@@ -37,6 +37,8 @@ PAPERS_PROTOCOL = "paper"
 
 METRICS = tuple(figure.column for figure in FIGURES)
 
+BOARD = shown_columns()
+
 COSTS = (
     Column(name="frames_per_s", heading="speed", unit="frames/s", lower_is_better=False),
     Column(name="processor_s", heading="processor", unit="s/frame", digits=3),
@@ -47,8 +49,6 @@ COSTS = (
 )
 
 _COSTS = (*(column.name for column in COSTS), "hardware")
-
-BOARD = (*METRICS, COVERAGE)
 
 INTERVALS = tuple(f"{name}_{end}" for name in OVER_ALL for end in ("low", "high"))
 
@@ -262,7 +262,8 @@ def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame
     parts = []
     names = {r.place: r.manifest.setup.split for r in results if r.data.is_published}
     for place, protocol in rows[["split", "protocol"]].drop_duplicates().itertuples(index=False):
-        if place not in names:
+        # No paper's figures are metric and aligned at once.
+        if place not in names or get_protocol(protocol).align:
             continue
         grid, _ = get_protocol(protocol).main
         chosen = (rows["split"] == place) & (rows["protocol"] == protocol) & (rows["grid"] == grid)

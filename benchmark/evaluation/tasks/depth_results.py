@@ -24,7 +24,7 @@ from benchmark.evaluation.results import (
 )
 from benchmark.evaluation.submission import Submission, read_submission
 from benchmark.evaluation.tasks.depth_speed import SPEED, Speed, SpeedClass, speed_class
-from benchmark.metrics.depth.figures import COVERAGE, FIGURES, NAMES
+from benchmark.metrics.depth.figures import NAMES, shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
@@ -34,8 +34,6 @@ from std_toolkit.io.documents import read_document
 GROUPS = ("split", "protocol", "method", "grid", "subset")
 
 OVER_ALL = (*NAMES, "coverage")
-
-_COLUMNS = (*(figure.column for figure in FIGURES), COVERAGE)
 
 _SUBSETS = ("all", "specular+transparent")
 
@@ -242,7 +240,7 @@ def results_table(results: Sequence[RunResult]) -> str:
     """
     blocks = []
     for (split, protocol, grid), means in _means(results):
-        shown = "no frame has a pixel to compare" if means.empty else _table(means)
+        shown = "no frame has a pixel to compare" if means.empty else _table(means, protocol)
         blocks.append(f"{split}, protocol {protocol}, {grid}\n{shown}")
         seen = _seen(results, split, protocol)
         if columns := seen_columns(seen):
@@ -280,9 +278,10 @@ def _means(results: Sequence[RunResult]) -> Iterator[tuple[tuple[str, str, str],
         yield (str(split), str(protocol), grid), means
 
 
-def _table(means: pd.DataFrame) -> str:
+def _table(means: pd.DataFrame, protocol: str) -> str:
     shown = means.rename(columns={"subset": "objects"})
-    return _text_table(shown, ["method", "objects", "frames"], _COLUMNS)
+    columns = shown_columns(aligned=bool(get_protocol(protocol).align))
+    return _text_table(shown, ["method", "objects", "frames"], columns)
 
 
 def _text_table(means: pd.DataFrame, names: list[str], columns: Sequence[Column]) -> str:

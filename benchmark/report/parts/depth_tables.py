@@ -11,6 +11,7 @@ from benchmark.evaluation import probes
 from benchmark.evaluation.results import FAILED
 from benchmark.evaluation.tasks.depth_results import RunResult, seen_columns
 from benchmark.evaluation.tasks.depth_speed import CPU_CORES, CPU_S, STANDARD
+from benchmark.metrics.depth.figures import shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report import leaderboard
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
@@ -18,7 +19,11 @@ from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 RMSE = leaderboard.METRICS[0]
 # Subsets with a separate table.
 MAIN_SUBSETS = ("all", "specular+transparent")
-OBJECTS = {"all": "all objects", "specular+transparent": "specular and transparent objects"}
+OBJECTS = {
+    "everything": "all pixels with truth",
+    "all": "all objects",
+    "specular+transparent": "specular and transparent objects",
+}
 DEPTH_PREFIX = "depth:"
 FEW_SCENES = 10
 CAUTION = (
@@ -33,6 +38,7 @@ CLASSES = (
     f"cpu: at most {CPU_S:g} s a frame of {STANDARD[0]}x{STANDARD[1]} on {CPU_CORES} cores; gpu: "
     "slower, or measured on one; not stated"
 )
+ALIGNED = "Depth after one scale and shift to the truth: not to be compared with metric depth."
 _COUNTS = (Column(heading="frames", digits=0), Column(heading="scenes", digits=0))
 _METHOD = Column(heading="method", numeric=False)
 _CLASS = Column(heading="class", numeric=False)
@@ -54,6 +60,8 @@ def board_tables(
         all_published: include published ablations and other trainings.
     """
     grid, first = get_protocol(protocol).main
+    aligned = bool(get_protocol(protocol).align)
+    columns = shown_columns(aligned=aligned)
     tables = []
     for subset in dict.fromkeys((first, *MAIN_SUBSETS)):
         rows = board.part(split, protocol, grid, subset)
@@ -67,6 +75,7 @@ def board_tables(
         ]
         if ranked < len(measured):
             notes.append(LACKING)
+        notes += [ALIGNED] if aligned else []
         if (
             protocol != leaderboard.PAPERS_PROTOCOL
             and (rows["kind"] == leaderboard.PUBLISHED).any()
@@ -74,9 +83,7 @@ def board_tables(
             notes.append(CAUTION)
         title = f"{board_title(board, split, protocol)}, {OBJECTS.get(subset, subset)}"
         chosen = rows if all_published else leaderboard.one_of_each(rows)
-        tables.append(
-            _method_table(chosen, leaderboard.BOARD, title=title, notes=notes, counts=True)
-        )
+        tables.append(_method_table(chosen, columns, title=title, notes=notes, counts=True))
     return tables
 
 
