@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from benchmark.evaluation.config import (
         BopConfig,
         CheckDataOptions,
+        InferListOptions,
         ListOptions,
         NetworkConfig,
     )
@@ -62,6 +63,14 @@ def check_data(options: CheckDataOptions) -> int:
     return 0 if all(report.is_complete for report in reports) else 1
 
 
+def infer_list(options: InferListOptions) -> int:
+    """Write the list of frames for other programs; returns the exit status."""
+    from benchmark.evaluation.infer_list import write_infer_list
+
+    print(write_infer_list(options))
+    return 0
+
+
 def write_priors(options: PriorsCommand) -> int:
     """Make shape priors; returns the exit status."""
     from benchmark.methods.pose.priors.make_priors import make_priors
@@ -93,6 +102,12 @@ PROGRAM = Program(
             "report what of a split is there, and what is missing",
             "CheckDataOptions",
             "check_data",
+        ),
+        (
+            "infer-list",
+            "write the list of frames for a program of another environment",
+            "InferListOptions",
+            "infer_list",
         ),
         ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),
     ),

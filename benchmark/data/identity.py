@@ -26,7 +26,8 @@ COLUMNS = (INDEX, SCENE, FRAME, CONTENT, DIGEST)
 
 # Content that is the answer of a method and no part of the data set begins with this word.
 _SAVED = "saved "
-SAVED_DEPTH, SAVED_POSES, SAVED_GRASPS = f"{_SAVED}depth", f"{_SAVED}poses", f"{_SAVED}grasps"
+SAVED_DEPTH, SAVED_SPREAD = f"{_SAVED}depth", f"{_SAVED}spread"
+SAVED_POSES, SAVED_GRASPS = f"{_SAVED}poses", f"{_SAVED}grasps"
 
 # Clocks of file systems tick; what changed just now may change again within the same tick.
 _SETTLED_S = 2.0

@@ -115,6 +115,10 @@ class FrameFiles:
         _at_most_one(found, f"two files could be the {what} of the frame", "leave one of them")
         return found[0] if found else own
 
+    def files(self, key: FrameKey) -> dict[str, Path]:
+        """Return the files that are read for a frame, by content; errors as of `path`."""
+        return {self.content: self.path(key)}
+
     def _files(self, place: Path, name: str) -> Iterator[Path]:
         for below in self.below:
             folder = place / below if below else place

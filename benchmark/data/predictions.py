@@ -1,8 +1,8 @@
 """Folders of depth that other programs predicted, as they lie: files of frames, and their unit.
 
-DIR/SCENE/FRAME.png, .exr, .npy, .npz, .tif or .pfm; FRAME_depth.png; in `depth/` or
-`depth_restored/` below the scene; with the suffix of the data set's raw depth, as `std-bench
---save-depth` writes it; and what `FrameFiles` finds.
+DIR/SCENE/FRAME.png, .exr, .npy, .npz, .tif or .pfm; FRAME_depth.png; FRAME_spread.png beside it for
+its expected error; in `depth/` or `depth_restored/` below the scene; with the suffix of the data
+set's raw depth, as `std-bench --save-depth` writes it; and what `FrameFiles` finds.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, resize_nearest
-from benchmark.data.identity import SAVED_DEPTH
+from benchmark.data.identity import SAVED_DEPTH, SAVED_SPREAD
 from benchmark.data.loading import check_proportions
 from benchmark.data.prediction_files import FrameFiles
 from benchmark.data.splits import (
@@ -167,6 +167,47 @@ class DepthFolder(FrameFiles):
     def read(self, key: FrameKey) -> NDArray[np.float32]:
         """Read the depth of a frame; see `read_prediction`."""
         return read_prediction(self.path(key), self.unit)
+
+    def files(self, key: FrameKey) -> dict[str, Path]:
+        path = self.path(key)
+        spread = self._spread_path(path, key)
+        return {self.content: path} | ({} if spread is None else {SAVED_SPREAD: spread})
+
+    def spread(self, key: FrameKey) -> NDArray[np.float32] | None:
+        """Read the expected error of a frame's depth: NAME_spread beside it, in the same unit.
+
+        Returns:
+            Metres of the size of the depth, infinite where the file has none; None without a file.
+
+        Raises:
+            ToolkitError: two files, a damaged one, or of another size than the depth.
+        """
+        path = self.path(key)
+        beside = self._spread_path(path, key)
+        if beside is None:
+            return None
+        spread = read_prediction(beside, self.unit)
+        if spread.shape != (wanted := read_prediction(path, self.unit).shape):
+            raise ToolkitError(
+                "the spread has another size than the depth",
+                path=beside,
+                value="{1}x{0}".format(*spread.shape),
+                hint="{1}x{0} is expected".format(*wanted),
+            )
+        return np.where(spread > 0, spread, np.float32(np.inf))
+
+    def _spread_path(self, path: Path, key: FrameKey) -> Path | None:
+        names = self._names_in(path.parent)
+        stems = (key.name, *self.joined(key))
+        found = [f"{s}_spread{x}" for s in stems for x in SUFFIXES if f"{s}_spread{x}" in names]
+        if len(found) > 1:
+            raise ToolkitError(
+                "two files could be the spread of the frame",
+                path=path.with_name(found[0]),
+                value=found[1],
+                hint="leave one of them",
+            )
+        return path.with_name(found[0]) if found else None
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ FITS: tuple[Fit, ...] = get_args(Fit)
 # In the place of a depth and of a fit, where poses lie in files.
 AS_FILED = "as-filed"
 
+FRAME_LIST = "frames.csv"
+
 
 def _option(name: str) -> dict[str, str]:
     return {"option": name}
@@ -321,6 +323,29 @@ class CheckDataOptions:
     """names of `std-bench list splits`"""
     json: bool = False
     """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InferListOptions:
+    """Write the list of frames that a program of another environment is to restore.
+
+    Writes frames.csv (scene, frame, color, raw, raw_unit_m, width, height, fx, fy, cx, cy, out) and
+    raw/ into the folder. The program writes depth to `out`, metres as .npy, or another suffix.
+    Then: std-bench depth --method NAME=OUT/predictions.
+    """
+
+    data: Path = field(metadata={"option": "data"})
+    """folder above the data sets, or of the split"""
+    split: str = field(metadata={"option": "split"})
+    """name of `std-bench list splits`"""
+    out: Path = field(metadata={"option": "out", "writes": Writes("results", (FRAME_LIST,))})
+    """folder of the list"""
+    limit: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    """list only N frames, evenly spaced, as the same option of `std-bench depth`"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:

@@ -364,7 +364,7 @@ class FrameRun(FramesRun[DepthSource, M]):
             found = dict(inputs_of(data, index, nocs=self.needs_nocs))
             if answers is not None:
                 with suppress(ToolkitError):  # scoring says what is wrong
-                    found[answers.content] = answers.path(keys[index])
+                    found |= answers.files(keys[index])
             yield index, keys[index], found
 
     def answers(self, data: DepthSource) -> FrameFiles | None:  # noqa: ARG002

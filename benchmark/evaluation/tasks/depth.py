@@ -41,7 +41,12 @@ from benchmark.evaluation.results import (
 )
 from benchmark.evaluation.submission import SUBMISSION, read_submission
 from benchmark.evaluation.tasks import depth_results
-from benchmark.evaluation.tasks.depth_clips import clips_left, save_depth, score_clip
+from benchmark.evaluation.tasks.depth_clips import (
+    clips_left,
+    save_depth,
+    score_clip,
+    with_spread,
+)
 from benchmark.evaluation.values import check_folders, folders_by_name
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
@@ -269,10 +274,11 @@ class Run(FrameRun[Restorer]):
             return {index: dict.fromkeys(ALWAYS, np.nan) for index in frames}
         for index, frame in frames.items():
             # Saved depth took the place of the sensor's, which it may have harmed.
-            sensor = frame.depth_raw
+            sensor, answer = frame.depth_raw, answers[index]
             if isinstance(data, WithSavedDepth):
                 sensor = data.source.load(index).depth_raw
-            found[index] = answer_figures(restorer, frame, sensor, answers[index], protocol)
+                answer = with_spread(answer, data.answers, splits.FrameKey(frame.scene, frame.name))
+            found[index] = answer_figures(restorer, frame, sensor, answer, protocol)
 
         def other(index: int) -> NDArray[np.uint8] | None:
             """Colour of the frame half a split away."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmark.data import splits
 from benchmark.data.frame import DepthFrame, resize_nearest
+from benchmark.data.predictions import DepthFolder
 from benchmark.data.splits import FrameKey
 from benchmark.evaluation.frames import Base, Batch, batches_of, load_each, read_ahead
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
@@ -81,3 +83,11 @@ def save_depth(folder: Path, split: str, key: FrameKey, restored: Restored) -> N
     channel[~(channel > 0) | (channel == float("inf"))] = 0.0
     path = splits.saved_depth_path(folder / "depth", split, key)
     write_exr(path, dict.fromkeys("RGB", channel))
+
+
+def with_spread(answer: Restored | str, folder: DepthFolder, key: FrameKey) -> Restored | str:
+    """Return saved depth with the expected error that lies beside it, if any."""
+    if isinstance(answer, str) or (spread := folder.spread(key)) is None:
+        return answer
+    size = (answer.depth.shape[1], answer.depth.shape[0])
+    return replace(answer, spread=resize_nearest(spread, size))
