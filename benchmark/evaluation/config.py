@@ -326,6 +326,20 @@ class CheckDataOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SelfTestOptions:
+    """Compare the answers of the networks with pinned ones, on the CPU.
+
+    Those of seed 0 of released networks are of the authors' programs, under weights by a rule;
+    others are the toolkit's own. All take 2 GB of memory, and a minute on two free cores.
+    """
+
+    networks: Literal["all", "shipped", "released"] = "all"
+    """shipped: those whose weights come with the toolkit; released: those of the authors' form"""
+    json: bool = False
+    """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class InferListOptions:
     """Write the list of frames that a program of another environment is to restore.
 
