@@ -108,6 +108,12 @@ def test_scenes_parts_and_missing_images(
     alone = 100 * np.mean(1 / np.arange(1, 51))
     assert row["seen"][0] == pytest.approx(alone)
     assert row["ap"][0] == pytest.approx(alone / 2)
+    # As AnyGrasp's arrays of float32, without a folder of the camera.
+    (tmp_path / "any/scene_0100").mkdir(parents=True)
+    np.save(tmp_path / "any/scene_0100/0000.npy", from_above(0.0).to_array().astype(np.float32))
+    words = ("--dump", tmp_path / "any", *words[2:])
+    status, (row,), told = run(capsys, *words)
+    assert row["seen"][0] == pytest.approx(alone) and row["unanswered"] == 1
     write_grasps(dump / "scene_0165/realsense/0000.npy", from_above(0.0))
     status, (row,), _ = run(capsys, *words)
     assert status == 0 and row["novel"][0] == pytest.approx(alone)
