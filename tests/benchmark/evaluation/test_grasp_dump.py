@@ -108,12 +108,6 @@ def test_scenes_parts_and_missing_images(
     alone = 100 * np.mean(1 / np.arange(1, 51))
     assert row["seen"][0] == pytest.approx(alone)
     assert row["ap"][0] == pytest.approx(alone / 2)
-    # As AnyGrasp's arrays of float32, without a folder of the camera.
-    (tmp_path / "any/scene_0100").mkdir(parents=True)
-    np.save(tmp_path / "any/scene_0100/0000.npy", from_above(0.0).to_array().astype(np.float32))
-    words = ("--dump", tmp_path / "any", *words[2:])
-    status, (row,), told = run(capsys, *words)
-    assert row["seen"][0] == pytest.approx(alone) and row["unanswered"] == 1
     write_grasps(dump / "scene_0165/realsense/0000.npy", from_above(0.0))
     status, (row,), _ = run(capsys, *words)
     assert status == 0 and row["novel"][0] == pytest.approx(alone)
@@ -146,6 +140,21 @@ def test_dumps_stand_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[s
     alone = np.mean(1 / np.arange(1, 51))
     assert table.set_index("grasps").loc["good", "ap"] == pytest.approx(alone)
     assert table.set_index("grasps").loc["half", "ap"] == pytest.approx(alone / 2)
+
+
+@pytest.mark.slow
+def test_arrays_of_anygrasp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """float32, without a folder of the camera."""
+    root, dump = tmp_path / "graspnet", tmp_path / "any"
+    two_scenes(root)
+    for scene in (100, 165):
+        (dump / f"scene_0{scene}").mkdir(parents=True)
+        grasps = from_above(0.0).to_array().astype(np.float32)
+        np.save(dump / f"scene_0{scene}/0000.npy", grasps)
+    words = ("--dump", dump, "--data", root, "--out", tmp_path / "out")
+    status, (row,), _ = run(capsys, *words)
+    assert status == 0 and row["unanswered"] == 0
+    assert row["ap"][0] == pytest.approx(100 * np.mean(1 / np.arange(1, 51)))
 
 
 @pytest.mark.parametrize(
