@@ -12,8 +12,10 @@ if TYPE_CHECKING:
     from benchmark.evaluation.config import (
         BopConfig,
         CheckDataOptions,
+        InferListOptions,
         ListOptions,
         NetworkConfig,
+        SelfTestOptions,
     )
     from benchmark.methods.pose.priors.options import PriorsCommand
 
@@ -62,6 +64,37 @@ def check_data(options: CheckDataOptions) -> int:
     return 0 if all(report.is_complete for report in reports) else 1
 
 
+def infer_list(options: InferListOptions) -> int:
+    """Write the list of frames for other programs; returns the exit status."""
+    from benchmark.evaluation.infer_list import write_infer_list
+
+    print(write_infer_list(options))
+    return 0
+
+
+def self_test(options: SelfTestOptions) -> int:
+    """Compare the networks' answers with pinned ones; returns the exit status."""
+    from benchmark.methods.known import self_test as tests
+
+    rows, failed = [], {}
+    for done in tests.self_test(tests.pinned(options.networks)):
+        known = done.pinned
+        row = {
+            "network": known.case, "seed": known.seed, "by": known.by, "apart": done.apart,
+            "good": done.is_good, "seconds": round(done.seconds, 2),
+        }  # fmt: skip
+        rows.append(row)
+        if not done.is_good:
+            problem = done.error or f"differs by {done.apart:.2g}, more than {tests.TOLERANCE:g}"
+            failed[f"{known.case}, seed {known.seed}"] = problem
+        if not options.json:
+            shown = f"{known.case:22} seed {known.seed}  of the {known.by:8}"
+            print(f"{shown} {done.apart:8.1e}  {'good' if done.is_good else 'FAILED'}")
+    if options.json:
+        print_json(rows)
+    return report_failures(failed)
+
+
 def write_priors(options: PriorsCommand) -> int:
     """Make shape priors; returns the exit status."""
     from benchmark.methods.pose.priors.make_priors import make_priors
@@ -93,6 +126,18 @@ PROGRAM = Program(
             "report what of a split is there, and what is missing",
             "CheckDataOptions",
             "check_data",
+        ),
+        (
+            "infer-list",
+            "write the list of frames for a program of another environment",
+            "InferListOptions",
+            "infer_list",
+        ),
+        (
+            "self-test",
+            "compare the networks' answers with pinned ones",
+            "SelfTestOptions",
+            "self_test",
         ),
         ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),
     ),

@@ -41,6 +41,7 @@ def report(options: ReportOptions) -> int:
     """Write the page; returns the exit status."""
     import pandas as pd
 
+    from benchmark.evaluation.submission import SUBMISSION, read_submission
     from benchmark.published.citations import names_of_runs, write_citations
     from benchmark.report.page import TASKS, make_parts, render_page
     from std_toolkit.io.atomic import write_bytes_atomic
@@ -50,11 +51,15 @@ def report(options: ReportOptions) -> int:
     texts = {name: text for part in parts for name, text in part.files.items()}
     texts[PAGE] = render_page(parts)
     used = names_of_runs(options.results, [task.manifest for task in TASKS])
+    of_authors = [
+        read_submission(p.parent) for f in options.results for p in sorted(f.rglob(SUBMISSION))
+    ]
+    said = [found.citation for found in of_authors if found is not None and found.citation]
     names = [*texts, NAME]
     with output(out, _OUT, "std-report"), own_files(out, names, known=_earlier(out, names)):
         for name, text in texts.items():
             write_bytes_atomic(out / name, text.encode())
-        write_citations(out, used)
+        write_citations(out, used, said)
     if options.json:
         tables = {Path(name).stem: out / name for name in texts if name.endswith(".csv")}
         print_json({name: pd.read_csv(path).to_dict("records") for name, path in tables.items()})

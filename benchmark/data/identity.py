@@ -26,7 +26,8 @@ COLUMNS = (INDEX, SCENE, FRAME, CONTENT, DIGEST)
 
 # Content that is the answer of a method and no part of the data set begins with this word.
 _SAVED = "saved "
-SAVED_DEPTH, SAVED_GRASPS = f"{_SAVED}depth", f"{_SAVED}grasps"
+SAVED_DEPTH, SAVED_SPREAD = f"{_SAVED}depth", f"{_SAVED}spread"
+SAVED_POSES, SAVED_GRASPS = f"{_SAVED}poses", f"{_SAVED}grasps"
 
 # Clocks of file systems tick; what changed just now may change again within the same tick.
 _SETTLED_S = 2.0
@@ -107,6 +108,13 @@ def data_digest(content: pd.DataFrame) -> str:
     """Return one digest of all content of a data set; answers of methods are no part of it."""
     rows = _of_data(content)[[SCENE, FRAME, CONTENT, DIGEST]]
     return digest_of(rows.to_numpy().tolist(), versioned=False)
+
+
+def answers_digest(content: pd.DataFrame) -> str:
+    """Return one digest of all saved answers that were read; "" without any."""
+    rows = content[content[CONTENT].str.startswith(_SAVED) & (content[DIGEST] != "")]
+    values = rows[[SCENE, FRAME, CONTENT, DIGEST]].to_numpy().tolist()
+    return digest_of(values, versioned=False) if values else ""
 
 
 def changed_content(then: pd.DataFrame, now: pd.DataFrame) -> pd.DataFrame:

@@ -1,23 +1,22 @@
-"""Folders of depth that other programs predicted, as they lie: the file of a frame, and its unit.
+"""Folders of depth that other programs predicted, as they lie: files of frames, and their unit.
 
-DIR/SCENE/FRAME.png, .exr, .npy, .npz, .tif or .pfm; FRAME_depth.png; in `depth/` or
-`depth_restored/` below the scene; with the suffix of the data set's raw depth, as `std-bench
---save-depth` writes it. Scenes may lie up to three folders deeper (SET/METHOD/SCENE), and files
-without scene folders may be called SCENE_FRAME.png, or FRAME.png where no two frames have the name.
+DIR/SCENE/FRAME.png, .exr, .npy, .npz, .tif or .pfm; FRAME_depth.png; FRAME_spread.png beside it for
+its expected error; in `depth/` or `depth_restored/` below the scene; with the suffix of the data
+set's raw depth, as `std-bench --save-depth` writes it; and what `FrameFiles` finds.
 """
 
-import os
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, resize_nearest
+from benchmark.data.identity import SAVED_DEPTH, SAVED_SPREAD
 from benchmark.data.loading import check_proportions
+from benchmark.data.prediction_files import FrameFiles
 from benchmark.data.splits import (
     DepthSource,
     FrameKey,
@@ -36,21 +35,11 @@ from std_toolkit.io.tiff import TIFF_SUFFIXES, read_tiff
 SUFFIXES = (".png", ".exr", ".npy", ".npz", ".pfm", *TIFF_SUFFIXES)
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "0.1mm": 0.0001}
 
-_ENDINGS = ("", "_depth")
-_BELOW = ("", "depth", "depth_restored")
-_DEEPEST = 3
-_MOST_FOLDERS = 20_000
-
 # Factors by which a wrong unit is wrong: metres and millimetres, 0.1 and 0.25 mm, quarters.
 _FACTORS = (4.0, 10.0, 100.0, 1000.0, 4000.0, 10_000.0)
 _NEAR = 1.15
 
 _LARGEST_HEADER = 200
-
-
-def _at_most_one(found: Sequence[Path], problem: str, hint: str) -> None:
-    if len(found) > 1:
-        raise ToolkitError(problem, path=found[0], value=str(found[1]), hint=hint)
 
 
 def unit_of(text: str) -> float:
@@ -159,103 +148,66 @@ def _read_pfm(path: Path) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True)
-class DepthFolder:
-    """A folder of predicted depth.
+class DepthFolder(FrameFiles):
+    """A folder of predicted depth; see `FrameFiles`.
 
     Attributes:
-        folder: the folder.
-        split: name of the split.
         unit: metres per number; None: by the type of the file.
-        keys: all frames; without them, files need a folder for their scene.
-
-    Raises:
-        ToolkitError: the folder does not exist.
     """
 
-    folder: Path
-    split: str
+    content: ClassVar[str] = SAVED_DEPTH
+    suffixes: ClassVar[tuple[str, ...]] = SUFFIXES
+    endings: ClassVar[tuple[str, ...]] = ("", "_depth")
+    below: ClassVar[tuple[str, ...]] = ("", "depth", "depth_restored")
     unit: float | None = None
-    keys: Sequence[FrameKey] = ()
-    _listed: dict[Path, frozenset[str]] = field(default_factory=dict, repr=False, compare=False)
-    _scenes: dict[str, list[Path]] = field(default_factory=dict, repr=False, compare=False)
-    _names: Counter[str] = field(default_factory=Counter, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        if not self.folder.is_dir():
-            raise ToolkitError("no such folder of saved depth", path=self.folder)
-        self._names.update(key.name for key in self.keys)
-
-    def path(self, key: FrameKey) -> Path:
-        """Return the file of a frame, which need not exist.
-
-        Raises:
-            ToolkitError: two files could be it, or one could be that of several frames.
-        """
-        own = saved_depth_path(self.folder, self.split, key)
-        if own.is_file():
-            return own
-        found = [p for place in self._folders(key.scene) for p in self._files(place, key.name)]
-        if not found and self.keys:
-            for joint in ("_", "-"):
-                found += self._files(self.folder, f"{key.scene}{joint}{key.name}")
-            flat = [] if found else list(self._files(self.folder, key.name))
-            if flat and self._names[key.name] > 1:
-                raise ToolkitError(
-                    f"{self._names[key.name]} frames have this name",
-                    path=flat[0],
-                    value=str(key),
-                    hint="put the files in a folder for each scene: SCENE/FRAME.png",
-                )
-            found += flat
-        _at_most_one(found, "two files could be the depth of the frame", "leave one of them")
-        return found[0] if found else own
+    def own_path(self, key: FrameKey) -> Path:
+        return saved_depth_path(self.folder, self.split, key)
 
     def read(self, key: FrameKey) -> NDArray[np.float32]:
         """Read the depth of a frame; see `read_prediction`."""
         return read_prediction(self.path(key), self.unit)
 
-    def _files(self, place: Path, name: str) -> Iterator[Path]:
-        for below in _BELOW:
-            folder = place / below if below else place
-            names = self._names_in(folder)
-            for ending in _ENDINGS:
-                for suffix in SUFFIXES:
-                    if f"{name}{ending}{suffix}" in names:
-                        yield folder / f"{name}{ending}{suffix}"
+    def files(self, key: FrameKey) -> dict[str, Path]:
+        path = self.path(key)
+        spread = self._spread_path(path, key)
+        return {self.content: path} | ({} if spread is None else {SAVED_SPREAD: spread})
 
-    def _names_in(self, folder: Path) -> frozenset[str]:
-        if folder not in self._listed:
-            try:
-                names = os.listdir(folder)  # noqa: PTH208 - names only, of folders of thousands
-            except OSError:
-                names = []
-            self._listed[folder] = frozenset(names)
-        return self._listed[folder]
+    def spread(self, key: FrameKey) -> NDArray[np.float32] | None:
+        """Read the expected error of a frame's depth: NAME_spread beside it, in the same unit.
 
-    def _folders(self, scene: str) -> list[Path]:
-        """Folders of a scene: directly below, else those of its name farther below."""
-        if (self.folder / scene).is_dir():
-            return [self.folder / scene]
-        if not self._scenes:
-            for place in self._below(self.folder, _DEEPEST):
-                self._scenes.setdefault(place.name, []).append(place)
-        found = self._scenes.get(scene, [])
-        hint = "name the folder of one method on one data set"
-        _at_most_one(found, "two folders of this scene", hint)
-        return found
+        Returns:
+            Metres of the size of the depth, infinite where the file has none; None without a file.
 
-    def _below(self, folder: Path, levels: int) -> Iterator[Path]:
-        try:
-            with os.scandir(folder) as entries:
-                below = [folder / e.name for e in entries if e.is_dir()]
-        except OSError as error:
-            raise ToolkitError(f"cannot read the folder: {error.strerror}", path=folder) from error
-        if len(below) > _MOST_FOLDERS:
-            raise ToolkitError("too many folders", path=folder, value=len(below))
-        for place in sorted(below):
-            yield place
-            if levels > 1:
-                yield from self._below(place, levels - 1)
+        Raises:
+            ToolkitError: two files, a damaged one, or of another size than the depth.
+        """
+        path = self.path(key)
+        beside = self._spread_path(path, key)
+        if beside is None:
+            return None
+        spread = read_prediction(beside, self.unit)
+        if spread.shape != (wanted := read_prediction(path, self.unit).shape):
+            raise ToolkitError(
+                "the spread has another size than the depth",
+                path=beside,
+                value="{1}x{0}".format(*spread.shape),
+                hint="{1}x{0} is expected".format(*wanted),
+            )
+        return np.where(spread > 0, spread, np.float32(np.inf))
+
+    def _spread_path(self, path: Path, key: FrameKey) -> Path | None:
+        names = self._names_in(path.parent)
+        stems = (key.name, *self.joined(key))
+        found = [f"{s}_spread{x}" for s in stems for x in SUFFIXES if f"{s}_spread{x}" in names]
+        if len(found) > 1:
+            raise ToolkitError(
+                "two files could be the spread of the frame",
+                path=path.with_name(found[0]),
+                value=found[1],
+                hint="leave one of them",
+            )
+        return path.with_name(found[0]) if found else None
 
 
 @dataclass(frozen=True)
@@ -296,7 +248,9 @@ class WithSavedDepth:
         return self.source.files()
 
 
-def check_predictions(data: WithSavedDepth, frames: Sequence[int], *, tried: int = 5) -> str:
+def check_predictions(
+    data: WithSavedDepth, frames: Sequence[int], *, tried: int = 5, metric: bool = True
+) -> str:
     """Look at a few predictions before all are scored.
 
     The unit is never taken from the truth; but depth that is another unit off is refused.
@@ -305,6 +259,7 @@ def check_predictions(data: WithSavedDepth, frames: Sequence[int], *, tried: int
         data: the frames.
         frames: those that are to be scored.
         tried: number of predictions to read, spread over the frames.
+        metric: whether they are to be metres; else no unit is wrong.
 
     Returns:
         What the files are, for people: type, unit, median depth.
@@ -335,6 +290,8 @@ def check_predictions(data: WithSavedDepth, frames: Sequence[int], *, tried: int
     path = data.answers.path(keys[there[0]])
     unit = data.answers.unit or (1.0 if _stored(path).dtype.kind == "f" else 0.001)
     told = next((name for name, metres in UNITS.items() if metres == unit), f"{unit:g} m")
+    if not metric:
+        return f"{path.suffix}, aligned"
     if not ratios:
         return f"{path.suffix} in {told}"
     ratio = float(np.median(ratios))

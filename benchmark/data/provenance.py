@@ -1,5 +1,6 @@
 """Where the frames of a split come from: published, simulated, one's own, or not known."""
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +17,7 @@ Kind = Literal["published", "simulated", "own recording", "unknown"]
 # Document of a set of `std-sim`, and folder of the records of its scenes, above the scenes.
 _SET, _RECORDS = "simulation.json", "parameters"
 _LEVELS = 4
+_MOST_CHANGES = 4  # of a preset, to be named
 _MARK = "std-sim"
 _SIMULATED = ("simulated:", "synthetic")
 # Imports of other formats are of data sets.
@@ -126,12 +128,33 @@ def _settings(every: Sequence[_SimulatedScene]) -> str:
         return ""
     tools = sorted({s.version_of_tool for s in every})
     sensors = sorted({s.sensor for s in every})
-    options = sorted({digest_of(s.parameters.get("options"), versioned=False)[:8] for s in every})
+    options = sorted({_preset(s.parameters.get("options")) for s in every})
     seeds = _ranges(sorted({s.seed for s in every}))
     return (
-        f"std-sim {', '.join(tools)}, {', '.join(sensors)}, options {', '.join(options)}, "
+        f"std-sim {', '.join(tools)}, {', '.join(sensors)}, {', '.join(options)}, "
         f"seeds {', '.join(seeds)}"
     )
+
+
+def _preset(options: Any) -> str:
+    """The preset of `std-sim` that options are nearest to, and what differs; else their digest."""
+    from sensors.simulation.options import PRESETS
+
+    found = []
+    for name, preset in PRESETS.items():
+        usual = msgspec.json.decode(msgspec.json.encode(preset.options))  # lists, as files have
+        if not isinstance(options, dict) or options.keys() != usual.keys():
+            continue
+        other = [f"{k} {_word(v)}" for k, v in options.items() if usual[k] != v]
+        found.append((len(other), f"preset {name}{' with ' if other else ''}{', '.join(other)}"))
+    few = [text for count, text in sorted(found) if count <= _MOST_CHANGES]
+    return few[0] if few else f"options {digest_of(options, versioned=False)[:8]}"
+
+
+def _word(value: Any) -> str:
+    """A value of a record of somebody else, as a word."""
+    text = str(value)
+    return text if re.fullmatch(r"[\w.-]{1,24}", text) else "other"
 
 
 def _ranges(numbers: Sequence[int]) -> Iterator[str]:

@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 import msgspec
 
-from benchmark.evaluation.values import roots_of, settings_by_method, weights_by_method
+from benchmark.evaluation.values import (
+    is_folder,
+    labels_by_method,
+    roots_of,
+    settings_by_method,
+    weights_by_method,
+)
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
@@ -24,6 +30,11 @@ if TYPE_CHECKING:
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Fit = Literal["ransac", "paper"]
 FITS: tuple[Fit, ...] = get_args(Fit)
+
+# In the place of a depth and of a fit, where poses lie in files.
+AS_FILED = "as-filed"
+
+FRAME_LIST = "frames.csv"
 
 
 def _option(name: str) -> dict[str, str]:
@@ -87,15 +98,15 @@ class FrameConfig(NetworkConfig):
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
     """names of `std-bench list methods`, package.module:Class, file.py:Class; for depth, NAME=DIR
-    of predictions; for poses, 'command:PROGRAM ARGUMENTS'"""
+    of predictions, for poses, too, and 'command:PROGRAM ARGUMENTS'"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))
     """[SPLIT=]ROOT, folder above the data sets, or of one split"""
     protocols: tuple[str, ...] = field(default=("strict",), metadata=_option("protocol"))
     """how predictions are scored: strict, paper, ..."""
-    label: str | None = None
-    """name of the method in tables (its own name)"""
+    label: tuple[str, ...] = ()
+    """[METHOD=]NAME of a method in tables (its own name)"""
     batch_size: Count = 8
     """frames that a method receives at once"""
     limit: Count | None = None
@@ -104,8 +115,12 @@ class FrameConfig(NetworkConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lists(self, "methods", "splits", "protocols", "data")
-        if self.label is not None and len(self.methods) > 1:
-            raise ToolkitError("names one method, not several", field="label", value=self.label)
+        _ = self.labels
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Names in tables by method; predictions in folders have their own."""
+        return labels_by_method(self.label, [m for m in self.methods if not is_folder(m)])
 
     @property
     def roots(self) -> dict[str | None, Path]:
@@ -213,8 +228,8 @@ class GraspConfig(NetworkConfig):
     """folder of labelled scenes, whose objects stand on the tables as they do there"""
     save_views: Path | None = field(default=None, metadata={"writes": Writes("parts")})
     """write every view (colour, depth, camera) to scenes in this folder, for your own restorer"""
-    label: str | None = None
-    """name of the planner, or of the dump, in folders and tables"""
+    label: tuple[str, ...] = ()
+    """[PLANNER=]NAME of a planner in tables (its own name), or NAME of the dump"""
     dump: Path | None = None
     """folder of grasps to score on GraspNet's test scenes instead, such as
     scene_0100/realsense/0000.npy"""
@@ -246,8 +261,14 @@ class GraspConfig(NetworkConfig):
             raise ToolkitError(
                 "tables are of --meshes or of --scenes", field="scenes", value=str(self.scenes)
             )
-        if self.label is not None and self.dump is None and len(self.planners or ()) > 1:
-            raise ToolkitError("names one planner, not several", field="label", value=self.label)
+        _ = self.labels
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Names in tables by planner, or that of the dump by "dump"."""
+        if self.dump is not None:
+            return labels_by_method(self.label, ["dump"])
+        return labels_by_method(self.label, self.planners or [""])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,6 +323,43 @@ class CheckDataOptions:
     """names of `std-bench list splits`"""
     json: bool = False
     """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelfTestOptions:
+    """Compare the answers of the networks with pinned ones, on the CPU.
+
+    Those of seed 0 of released networks are of the authors' programs, under weights by a rule;
+    others are the toolkit's own. All take 2 GB of memory, and a minute on two free cores.
+    """
+
+    networks: Literal["all", "shipped", "released"] = "all"
+    """shipped: those whose weights come with the toolkit; released: those of the authors' form"""
+    json: bool = False
+    """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InferListOptions:
+    """Write the list of frames that a program of another environment is to restore.
+
+    Writes frames.csv (scene, frame, color, raw, raw_unit_m, width, height, fx, fy, cx, cy, out) and
+    raw/ into the folder. The program writes depth to `out`, metres as .npy, or another suffix.
+    Then: std-bench depth --method NAME=OUT/predictions.
+    """
+
+    data: Path = field(metadata={"option": "data"})
+    """folder above the data sets, or of the split"""
+    split: str = field(metadata={"option": "split"})
+    """name of `std-bench list splits`"""
+    out: Path = field(metadata={"option": "out", "writes": Writes("results", (FRAME_LIST,))})
+    """folder of the list"""
+    limit: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    """list only N frames, evenly spaced, as the same option of `std-bench depth`"""
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:

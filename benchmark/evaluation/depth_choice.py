@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from benchmark.data.frame import DepthFrame
 from benchmark.data.predictions import DepthFolder
 from benchmark.data.splits import FrameKey
+from benchmark.evaluation.config import AS_FILED
 from benchmark.evaluation.frames import error_line, restore_views
 from benchmark.evaluation.values import plain_label
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer, restorers, weights_digest
+from benchmark.methods.training_data import training_data
 from std_toolkit.errors import ToolkitError
 
 RAW, TRUE = "raw", "gt"
@@ -28,9 +30,10 @@ class DepthChoice:
     """One of the depths that poses are fitted to.
 
     Attributes:
-        name: `raw`, `gt`, the name of a restorer, or the name given to a folder of depth.
+        name: `raw`, `gt`, the name of a restorer, the name given to a folder of depth, or
+            `as-filed`.
         options: options of the restorer.
-        folder: folder of depth written by `std-bench --save-depth`; otherwise None.
+        folder: folder of saved depth, or of poses that are `as-filed`; otherwise None.
     """
 
     name: str
@@ -56,7 +59,7 @@ def depth_choice(text: str) -> DepthChoice:
     """
     name, equals, folder = text.partition("=")
     if equals:
-        if name in (RAW, TRUE, *restorers.names()) or not name:
+        if name in (RAW, TRUE, AS_FILED, *restorers.names()) or not name:
             raise ToolkitError(
                 "depth in a folder needs a name of its own", field="depth", value=text
             )
@@ -89,6 +92,11 @@ class DepthProvider:
             "depth_weights_sha256": weights_digest(choice.name, self.restorer, options),
             "depth_folder": "" if folder is None else str(folder.resolve()),
         }
+
+    @property
+    def training_data(self) -> str:
+        """What the restorer was trained on; see `benchmark.methods.training_data`."""
+        return training_data(self.choice.name, self.restorer, self.choice.options)
 
     def depths(self, frames: Mapping[int, DepthFrame]) -> dict[int, Depth | str]:
         """Return the depth of the frames of a batch, each of any size, or error lines."""

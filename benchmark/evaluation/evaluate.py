@@ -128,7 +128,7 @@ def evaluate(
         options = {"gallery": False, **({"speed": False} if task == "depth" else {}), **options}
     if objects:  # other processes do not have them
         options["jobs"] = replace(options.get("jobs", JobOptions()), engine="serial")
-    for name, separator in (("weights", "="), ("settings", "=")):
+    for name, separator in (("weights", "="), ("settings", "="), ("label", "=")):
         options[name] = _words(options.get(name, ()), separator)
     with ExitStack() as stack:
         stack.enter_context(registry.holding(objects))

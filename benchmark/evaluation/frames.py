@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from benchmark.data.identity import SAVED_DEPTH
-from benchmark.data.predictions import DepthFolder
+from benchmark.data.prediction_files import FrameFiles
 from benchmark.data.provenance import Provenance, provenance_of
 from benchmark.data.splits import (
     DepthSource,
@@ -365,11 +364,11 @@ class FrameRun(FramesRun[DepthSource, M]):
             found = dict(inputs_of(data, index, nocs=self.needs_nocs))
             if answers is not None:
                 with suppress(ToolkitError):  # scoring says what is wrong
-                    found[SAVED_DEPTH] = answers.path(keys[index])
+                    found |= answers.files(keys[index])
             yield index, keys[index], found
 
-    def answers(self, data: DepthSource) -> DepthFolder | None:  # noqa: ARG002
-        """Return the folder of saved depth that the run reads, if any."""
+    def answers(self, data: DepthSource) -> FrameFiles | None:  # noqa: ARG002
+        """Return the folder of predictions that the run reads, if any."""
         return None
 
     def provenance(self, data: DepthSource) -> Provenance:
@@ -409,6 +408,6 @@ def frame_options(
         "root": data_of(split, config.roots),
         "method": method,
         "options": options[method],
-        "label": checked_label(config.label or plain_label(method)),
+        "label": config.labels.get(method) or checked_label(plain_label(method)),
         **{name: getattr(config, name) for name in _OF_CONFIG},
     }

@@ -95,12 +95,14 @@ class Manifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
         label: name of the method in tables.
         root: folder of the data.
         weights: path of the weight file, as given.
+        training_data: what the weights were trained on; "" if nothing beside them says so.
     """
 
     label: Name
     setup: Setup
     root: str
     weights: str
+    training_data: str = ""
 
 
 def circumstances() -> dict[str, Any]:
@@ -200,6 +202,8 @@ class GraspManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True)
     Attributes:
         depth_label, planner_label: names of depth and planner in tables.
         planner_weights, depth_weights: paths of the weight files, as given.
+        planner_training_data, depth_training_data: what they were trained on; "" if nothing beside
+            them says so.
     """
 
     depth_label: Name
@@ -207,6 +211,8 @@ class GraspManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True)
     setup: GraspSetup
     planner_weights: str
     depth_weights: str
+    planner_training_data: str = ""
+    depth_training_data: str = ""
 
 
 class DumpSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -271,6 +277,8 @@ class PoseManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
         label, depth_label, fit: names of method, depth and fit in tables.
         root: folder of the data.
         weights, depth_weights: paths of the weight files, as given.
+        training_data, depth_training_data: what they were trained on; "" if nothing beside them
+            says so.
     """
 
     label: Name
@@ -280,6 +288,8 @@ class PoseManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     root: str
     weights: str
     depth_weights: str
+    training_data: str = ""
+    depth_training_data: str = ""
 
 
 class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -105,6 +105,81 @@ def _by_method(
     return found
 
 
+def labels_by_method(texts: Sequence[str], methods: Sequence[str]) -> dict[str, str]:
+    """Return names in tables by method.
+
+    Args:
+        texts: `METHOD=NAME`, or `NAME` if there is one method.
+        methods: names of all methods.
+
+    Raises:
+        ToolkitError: a name without a method, two for one, or one that no folder can have.
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        # The longest first: a method's own name may hold "=".
+        named = sorted((m for m in methods if text.startswith(f"{m}=")), key=len)
+        if not named and len(methods) != 1:
+            raise ToolkitError(
+                "names one method, not several",
+                field="label",
+                value=text,
+                hint=f"METHOD=NAME, with one of {', '.join(methods)}" if methods else None,
+            )
+        method = named[-1] if named else methods[0]
+        if method in found:
+            raise ToolkitError("two names for one method", field="label", value=text)
+        found[method] = checked_label(text.removeprefix(f"{method}=") if named else text)
+    return found
+
+
+def is_folder(method: str) -> bool:
+    """Whether a method is predictions in a folder, NAME=DIR.
+
+    >>> is_folder("mine=out"), is_folder("command:run --a=b"), is_folder("raw")
+    (True, False, False)
+    """
+    name, equals, _ = method.partition("=")
+    return bool(equals) and ":" not in name
+
+
+def folders_by_name(methods: Sequence[str], taken: Sequence[str]) -> dict[str, tuple[str, Path]]:
+    """Return name and folder of each method that is NAME=DIR, by its text.
+
+    Args:
+        methods: as given.
+        taken: names of methods that run.
+
+    Raises:
+        ToolkitError: the name of another method, or one that cannot be the name of a folder.
+    """
+    found = {}
+    for text in methods:
+        if not is_folder(text):
+            continue
+        name, _, folder = text.partition("=")
+        if name in taken:
+            raise ToolkitError(
+                "predictions in a folder need a name of their own", field="--method", value=text
+            )
+        found[text] = (checked_label(name), Path(folder))
+    return found
+
+
+def check_folders(folders: Sequence[Path], labels: Sequence[str]) -> None:
+    """Refuse two runs in one folder.
+
+    Args:
+        folders, labels: of all runs.
+
+    Raises:
+        ToolkitError: two methods have one name.
+    """
+    for place, label in enumerate(labels):
+        if folders[place] in folders[:place]:
+            raise ToolkitError("two methods have this name", field="--method", value=label)
+
+
 def plain_label(name: str) -> str:
     """Return the label of a method or planner given by location, or as a command.
 

@@ -64,11 +64,12 @@ def entries() -> dict[str, str]:
     return dict(zip(found, whole, strict=True))
 
 
-def citations(names: Iterable[str]) -> str:
+def citations(names: Iterable[str], more: Iterable[str] = ()) -> str:
     """The text of a `citations.bib`: this toolkit, and the sources of what was used.
 
     Args:
         names: methods, splits and protocols as named on the command line; each once, in this order.
+        more: BibTeX or lines of others, which become comments.
 
     >>> print(citations(["swindrnet", "nearest"]).splitlines()[0])
     % std-toolkit
@@ -84,16 +85,19 @@ def citations(names: Iterable[str]) -> str:
         f"  version = {{{__version__}}}\n}}\n"
     )
     parts = [own, *(f"% {', '.join(by)}\n{entries()[key]}" for key, by in used.items())]
+    for text in dict.fromkeys(text.strip() for text in more):
+        is_entry = text.startswith("@")
+        parts.append(text + "\n" if is_entry else "".join(f"% {x}\n" for x in text.splitlines()))
     return "\n".join(parts)
 
 
-def write_citations(folder: Path, names: Iterable[str]) -> None:
-    """Write `citations.bib`.
+def write_citations(folder: Path, names: Iterable[str], more: Iterable[str] = ()) -> None:
+    """Write `citations.bib`; see `citations`.
 
     Raises:
         ToolkitError: it cannot be written.
     """
-    write_bytes_atomic(folder / NAME, citations(names).encode())
+    write_bytes_atomic(folder / NAME, citations(names, more).encode())
 
 
 def names_of_runs(folders: Sequence[Path], manifests: Sequence[str]) -> list[str]:

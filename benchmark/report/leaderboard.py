@@ -16,7 +16,7 @@ from benchmark.evaluation.tasks.depth_results import (
     summarise,
     summarise_seen,
 )
-from benchmark.metrics.depth.figures import COVERAGE, FIGURES
+from benchmark.metrics.depth.figures import FIGURES, shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods
 from benchmark.published.load import published_depth, published_speed
@@ -37,6 +37,8 @@ PAPERS_PROTOCOL = "paper"
 
 METRICS = tuple(figure.column for figure in FIGURES)
 
+BOARD = shown_columns()
+
 COSTS = (
     Column(name="frames_per_s", heading="speed", unit="frames/s", lower_is_better=False),
     Column(name="processor_s", heading="processor", unit="s/frame", digits=3),
@@ -47,8 +49,6 @@ COSTS = (
 )
 
 _COSTS = (*(column.name for column in COSTS), "hardware")
-
-BOARD = (*METRICS, COVERAGE)
 
 INTERVALS = tuple(f"{name}_{end}" for name in OVER_ALL for end in ("low", "high"))
 
@@ -97,14 +97,16 @@ class Board:
         return list(found.drop_duplicates().itertuples(index=False, name=None))
 
 
-# split, protocol, grid, subset, method: key of the row. kind: MEASURED or PUBLISHED. Where the
-# frames come from. Numbers of frames and scenes included, of frames at which the method failed, and
-# of those of the data set without an answer: rows with any are not ranked. OVER_ALL with INTERVALS,
-# OVER_ANSWERED. p_best: corrected p of the comparison with the best ranked method. Then cost. Then,
-# for published rows, source and training data. Last what a user sees of the method, the same in all
-# of its rows.
+# split, protocol, grid, subset, method: key of the row. Of a measured method: preset, digest of the
+# weights, class of speed, and place among the ranked ones of its class. kind: MEASURED or
+# PUBLISHED. Where the frames come from. Numbers of frames and scenes included, of frames at which
+# the method failed, and of those of the data set without an answer: rows with any are not ranked.
+# OVER_ALL with INTERVALS, OVER_ANSWERED. p_best: corrected p of the comparison with the best ranked
+# method of its class. Then cost, what the method was trained on, and of published rows the source.
+# Last what a user sees of the method, the same in all of its rows.
 COLUMNS = (
-    "split", "protocol", "grid", "subset", "method", "kind", "provenance", "frames", "scenes",
+    "split", "protocol", "grid", "subset", "method", "preset", "weights", "speed_class", "place",
+    "kind", "provenance", "frames", "scenes",
     "failed", "unanswered",
     *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "processor_s",
     "load", "parameters", "gmacs", "peak_memory_mib", "hardware", "training_data", "table",
@@ -183,11 +185,14 @@ def make_board(
                 split, protocol, grid, subset,
             )  # fmt: skip
             continue
-        here = [r for r in results if (r.place, r.manifest.setup.protocol) == (split, protocol)]
-        missing = unanswered(here)
-        means["unanswered"] = means["method"].map(
-            {r.manifest.label: missing[r.title] for r in here}
-        )
+        here = {
+            r.manifest.label: r
+            for r in results
+            if (r.place, r.manifest.setup.protocol) == (split, protocol)
+        }
+        missing = unanswered(here.values())
+        means["unanswered"] = [missing[here[label].title] for label in means["method"]]
+        means["speed_class"] = [here[label].speed_class for label in means["method"]]
         parts.append(_with_significance(means, one))
     if not parts:
         raise ToolkitError(
@@ -205,10 +210,12 @@ def make_board(
 
 
 def _with_significance(means: pd.DataFrame, one: pd.DataFrame) -> pd.DataFrame:
-    """Add `p_best`: each method against the best of its grid and subset, corrected over pairs."""
-    means = means.assign(p_best=np.nan)
+    """Add `p_best`: each method against the best of its grid, subset and class of speed, corrected
+    over pairs; and its `place` there."""
+    means = means.assign(p_best=np.nan, place=np.nan)
     whole = means[means["unanswered"] == 0]
-    for (grid, subset), block in whole.groupby(["grid", "subset"], sort=False):
+    for (grid, subset, _), block in whole.groupby(["grid", "subset", "speed_class"], sort=False):
+        means.loc[block.index, "place"] = block[RANKED_BY].rank(method="min")
         best = block.loc[block[RANKED_BY].idxmin(), "method"]
         frames = one[(one["grid"] == grid) & (one["subset"] == subset)]
         frames = frames[frames["method"].isin(block["method"])]
@@ -227,18 +234,24 @@ def _costs(results: Sequence[RunResult]) -> pd.DataFrame:
     rows = []
     for result in results:
         speed = result.speed
-        row = {
+        row: dict[str, object] = {
             "split": result.place,
             "protocol": result.manifest.setup.protocol,
             "method": result.manifest.label,
             "provenance": str(result.data.provenance),
+            "preset": result.preset,
+            "weights": result.manifest.setup.weights_sha256,
+            "training_data": result.training_data,
         }
+        said = result.said
         if speed is not None:
             row |= {name: getattr(speed, name) for name in _COSTS}
+        elif said is not None:
+            seconds = said.seconds_per_frame
+            row |= {"frames_per_s": 1 / seconds if seconds else np.nan, "hardware": said.hardware}
         rows.append(row)
-    return pd.DataFrame(rows).reindex(
-        columns=["split", "protocol", "method", "provenance", *_COSTS]
-    )
+    told = ["provenance", "preset", "weights", "training_data"]
+    return pd.DataFrame(rows).reindex(columns=["split", "protocol", "method", *told, *_COSTS])
 
 
 def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame:
@@ -249,7 +262,8 @@ def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame
     parts = []
     names = {r.place: r.manifest.setup.split for r in results if r.data.is_published}
     for place, protocol in rows[["split", "protocol"]].drop_duplicates().itertuples(index=False):
-        if place not in names:
+        # No paper's figures are metric and aligned at once.
+        if place not in names or get_protocol(protocol).align:
             continue
         grid, _ = get_protocol(protocol).main
         chosen = (rows["split"] == place) & (rows["protocol"] == protocol) & (rows["grid"] == grid)

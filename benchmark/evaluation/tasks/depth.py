@@ -22,24 +22,42 @@ from benchmark.evaluation.config import DepthConfig, options_by_method
 from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
     Base,
+    Batch,
     FrameRun,
     frame_options,
     load_each,
     restore_views,
 )
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
-from benchmark.evaluation.probes import answer_figures, probe_color, probe_holes
-from benchmark.evaluation.results import ERROR, FRAME, INDEX, NOT_FINITE, SCENE, TABLE, UNREAD
+from benchmark.evaluation.probes import ALWAYS, answer_figures, probe_color, probe_holes
+from benchmark.evaluation.results import (
+    ERROR,
+    FRAME,
+    INDEX,
+    NOT_FINITE,
+    SCENE,
+    TABLE,
+    UNREAD,
+)
+from benchmark.evaluation.submission import SUBMISSION, read_submission
 from benchmark.evaluation.tasks import depth_results
-from benchmark.evaluation.values import checked_label
+from benchmark.evaluation.tasks.depth_clips import (
+    clips_left,
+    save_depth,
+    score_clip,
+    with_spread,
+)
+from benchmark.evaluation.values import check_folders, folders_by_name
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
 from benchmark.methods.registry import make_restorer, restorers
+from benchmark.methods.training_data import training_data
+from benchmark.metrics.protocols.alignment import Line
 from benchmark.metrics.protocols.protocol import Protocol, get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.exr import write_exr
+from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
 
 
@@ -100,11 +118,18 @@ class Run(FrameRun[Restorer]):
     def check(self, data: splits.DepthSource) -> None:
         self._check_frames(data)
         if isinstance(data, WithSavedDepth):
-            told = check_predictions(data, self.chosen(data))
+            read_submission(data.answers.folder)
+            metric = not get_protocol(self.protocol).align
+            told = check_predictions(data, self.chosen(data), metric=metric)
             logger.info("%s: %s of %s", self.title, told, data.answers.folder)
 
     def _check_frames(self, data: splits.DepthSource) -> None:
-        get_protocol(self.protocol)
+        if get_protocol(self.protocol).align and self.probes:
+            raise ToolkitError(
+                "needs metric depth, and the protocol aligns it",
+                field="--probe",
+                value=self.protocol,
+            )
         if not self.chosen(data):
             raise ToolkitError(
                 "the split has fewer frames than a batch",
@@ -140,13 +165,14 @@ class Run(FrameRun[Restorer]):
             setup=setup,
             root=str(self.root),
             weights=str(self.options.weights or ""),
+            training_data=training_data(self.method, methods, self.options),
             **circumstances(),
         )
 
     def answers(self, data: splits.DepthSource) -> DepthFolder | None:
         if self.depth_from is None:
             return None
-        return DepthFolder(self.depth_from, self.split, self.depth_unit, data.keys())
+        return DepthFolder(self.depth_from, self.split, unit=self.depth_unit, keys=data.keys())
 
     def load(self, data: splits.DepthSource, index: int) -> DepthFrame:
         return data.load(index)
@@ -157,20 +183,55 @@ class Run(FrameRun[Restorer]):
         methods: Restorer,
         frames: Sequence[tuple[Base, DepthFrame | str]],
     ) -> list[dict[str, Any]]:
-        """Return the rows of the protocol for each frame.
+        """Return the rows of the protocol for each frame, each a clip of its own.
 
         The first row of a frame has the figures of `benchmark.evaluation.probes`, too. A frame
         that cannot be read has one row with a text in `error`. A frame at which the method failed,
         or for which there is no saved depth, has that text in the rows of an empty prediction.
         """
+        answers = self.restored(methods, frames)
+        self.keep(data, frames, answers)
+        return self.scored(data, methods, frames, answers)
+
+    def restored(
+        self, restorer: Restorer, frames: Sequence[tuple[Base, DepthFrame | str]]
+    ) -> dict[int, Restored | str]:
+        """Return restored depth by index of the frames that could be read, or error lines."""
+        size = get_protocol(self.protocol).view_size
+        return restore_views(
+            restorer,
+            {
+                base[INDEX]: restorer_view(frame, restorer, size)
+                for base, frame in frames
+                if not isinstance(frame, str)
+            },
+        )
+
+    def keep(
+        self,
+        data: splits.DepthSource,
+        frames: Sequence[tuple[Base, DepthFrame | str]],
+        answers: Mapping[int, Restored | str],
+    ) -> None:
+        """Save restored depth, if it is wanted."""
+        for base, _ in frames:
+            answer = answers.get(base[INDEX])
+            if self.save_depth and isinstance(answer, Restored):
+                key = splits.FrameKey(base[SCENE], base[FRAME])
+                save_depth(self.folder, data.name, key, answer)
+
+    def scored(
+        self,
+        data: splits.DepthSource,
+        methods: Restorer,
+        frames: Sequence[tuple[Base, DepthFrame | str]],
+        answers: Mapping[int, Restored | str],
+        line: Line | None = None,
+    ) -> list[dict[str, Any]]:
+        """Return the rows of frames, given the answers; `line` aligns those of a clip."""
         protocol = get_protocol(self.protocol)
-        views = {
-            base[INDEX]: restorer_view(frame, methods, protocol.view_size)
-            for base, frame in frames
-            if not isinstance(frame, str)
-        }
-        answers = restore_views(methods, views)
-        seen = self._seen(data, methods, dict(zip(views, _read(frames), strict=True)), answers)
+        there = {b[INDEX]: frame for b, frame in frames if not isinstance(frame, str)}
+        seen = self._seen(data, methods, there, answers)
         rows: list[dict[str, Any]] = []
         for base, frame in frames:
             if isinstance(frame, str):
@@ -180,14 +241,24 @@ class Run(FrameRun[Restorer]):
             answer = answers[base[INDEX]]
             error, depth = (answer, None) if isinstance(answer, str) else ("", answer.depth)
             status = {ERROR: error, NOT_FINITE: _not_finite(depth)}
-            scored = [base | status | row.as_dict() for row in score_frame(depth, frame, protocol)]
-            scored[0] |= seen[base[INDEX]]
-            rows += scored
-            if self.save_depth and not isinstance(answer, str):
-                save_depth(
-                    self.folder, data.name, splits.FrameKey(base[SCENE], base[FRAME]), answer
-                )
+            found = [
+                base | status | row.as_dict() for row in score_frame(depth, frame, protocol, line)
+            ]
+            found[0] |= seen[base[INDEX]]
+            rows += found
         return rows
+
+    def items(
+        self, data: splits.DepthSource, done: set[int], workers: int
+    ) -> list[tuple[Batch, ...]]:
+        if get_protocol(self.protocol).align != "clip":
+            return super().items(data, done, workers)
+        return clips_left(data.keys(), self.chosen(data), self.batch_size, done)
+
+    def work(self, data: splits.DepthSource, methods: Restorer, item: Sequence[Batch]) -> int:
+        if get_protocol(self.protocol).align != "clip":
+            return super().work(data, methods, item)
+        return score_clip(self, data, methods, item)
 
     def _seen(
         self,
@@ -197,14 +268,17 @@ class Run(FrameRun[Restorer]):
         answers: Mapping[int, Restored | str],
     ) -> dict[int, dict[str, float]]:
         """Figures of `probes` by frame."""
-        found = {}
+        found: dict[int, dict[str, float]] = {}
         protocol, chosen = get_protocol(self.protocol), self.chosen(data)
+        if protocol.align:  # what a user sees is metric
+            return {index: dict.fromkeys(ALWAYS, np.nan) for index in frames}
         for index, frame in frames.items():
             # Saved depth took the place of the sensor's, which it may have harmed.
-            sensor = frame.depth_raw
+            sensor, answer = frame.depth_raw, answers[index]
             if isinstance(data, WithSavedDepth):
                 sensor = data.source.load(index).depth_raw
-            found[index] = answer_figures(restorer, frame, sensor, answers[index], protocol)
+                answer = with_spread(answer, data.answers, splits.FrameKey(frame.scene, frame.name))
+            found[index] = answer_figures(restorer, frame, sensor, answer, protocol)
 
         def other(index: int) -> NDArray[np.uint8] | None:
             """Colour of the frame half a split away."""
@@ -222,12 +296,18 @@ class Run(FrameRun[Restorer]):
         return found
 
     def after(self) -> None:
-        """Measure speed and save pictures of a few frames, unless they exist."""
+        """Measure speed and save pictures of a few frames, unless they exist; keep what the author
+        of predictions says of them."""
+        said = None if self.depth_from is None else read_submission(self.depth_from)
+        if said is None:
+            (self.folder / SUBMISSION).unlink(missing_ok=True)
+        else:
+            write_document(self.folder / SUBMISSION, said)
         if self.speed:
             from benchmark.evaluation.tasks.depth_speed import write_speed
 
             write_speed(self, self.protocol)
-        if self.gallery:
+        if self.gallery and not get_protocol(self.protocol).align:
             from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, make_gallery
 
             if not (self.folder / FOLDER / INDEX_FILE).exists():
@@ -247,7 +327,7 @@ def plan_runs(config: DepthConfig) -> list[Run]:
         ToolkitError: weights or settings for a method that is not requested, a split without
             data, two methods of one name, no unit, or a label that cannot be the name of a folder.
     """
-    folders = folders_by_name(config.methods)
+    folders = folders_by_name(config.methods, restorers.names())
     if folders and (config.probes or config.depth_from is not None):
         option = "--probe" if config.probes else "--depth-from"
         raise ToolkitError(
@@ -267,32 +347,8 @@ def plan_runs(config: DepthConfig) -> list[Run]:
             known |= {"label": name, "speed": False}
         unit = units.get(name)
         runs.append(Run(**known, protocol=protocol, depth_from=folder, depth_unit=unit))
-    if len({run.folder for run in runs}) < len(runs):
-        labels = [run.label for run in runs]
-        twice = next(
-            x for x in labels if labels.count(x) > len(config.splits) * len(config.protocols)
-        )
-        raise ToolkitError("two methods have this name", field="--method", value=twice)
+    check_folders([run.folder for run in runs], [run.label for run in runs])
     return runs
-
-
-def folders_by_name(methods: Sequence[str]) -> dict[str, tuple[str, Path]]:
-    """Return name and folder of each method that is NAME=DIR, by its text.
-
-    Raises:
-        ToolkitError: the name of another method, or one that cannot be the name of a folder.
-    """
-    found = {}
-    for text in methods:
-        name, equals, folder = text.partition("=")
-        if not equals or ":" in name:
-            continue
-        if name in restorers.names():
-            raise ToolkitError(
-                "predictions in a folder need a name of their own", field="--method", value=text
-            )
-        found[text] = (checked_label(name), Path(folder))
-    return found
 
 
 def units_by_name(texts: Sequence[str], names: Sequence[str]) -> dict[str, float]:
@@ -323,11 +379,6 @@ TASK = Task(
 )
 
 
-def _read(frames: Sequence[tuple[Base, DepthFrame | str]]) -> list[DepthFrame]:
-    """The frames that could be read."""
-    return [frame for _, frame in frames if not isinstance(frame, str)]
-
-
 def _unanswered(
     data: splits.DepthSource, index: int, restorer: Restorer, error: str, protocol: Protocol
 ) -> list[dict[str, Any]]:
@@ -339,25 +390,10 @@ def _unanswered(
     if isinstance(frame, str):
         return [UNREAD]
     rows = [{NOT_FINITE: 0} | row.as_dict() for row in score_frame(None, frame, protocol)]
-    rows[0] |= answer_figures(restorer, frame, frame.depth_raw, error, protocol)
+    if not protocol.align:
+        rows[0] |= answer_figures(restorer, frame, frame.depth_raw, error, protocol)
     return rows
 
 
 def _not_finite(depth: NDArray[np.float32] | None) -> int:
     return 0 if depth is None else int(depth.size - np.isfinite(depth).sum())
-
-
-def save_depth(folder: Path, split: str, key: splits.FrameKey, restored: Restored) -> None:
-    """Write restored depth in the layout of the sensor depth: FOLDER/depth/SCENE/NAME + suffix.
-
-    The file has the size of the method's output and three equal channels of float32 metres, as in
-    the public data sets. Pixels without a prediction are 0.
-
-    Raises:
-        ToolkitError: the file cannot be written.
-    """
-    depth = restored.depth
-    channel = depth.astype("float32")
-    channel[~(channel > 0) | (channel == float("inf"))] = 0.0
-    path = splits.saved_depth_path(folder / "depth", split, key)
-    write_exr(path, dict.fromkeys("RGB", channel))

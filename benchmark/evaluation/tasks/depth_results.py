@@ -22,8 +22,9 @@ from benchmark.evaluation.results import (
     read_known,
     read_table,
 )
-from benchmark.evaluation.tasks.depth_speed import SPEED, Speed
-from benchmark.metrics.depth.figures import COVERAGE, FIGURES, NAMES
+from benchmark.evaluation.submission import Submission, read_submission
+from benchmark.evaluation.tasks.depth_speed import SPEED, Speed, SpeedClass, speed_class
+from benchmark.metrics.depth.figures import NAMES, shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import mean_interval
 from std_toolkit.errors import ToolkitError
@@ -33,8 +34,6 @@ from std_toolkit.io.documents import read_document
 GROUPS = ("split", "protocol", "method", "grid", "subset")
 
 OVER_ALL = (*NAMES, "coverage")
-
-_COLUMNS = (*(figure.column for figure in FIGURES), COVERAGE)
 
 _SUBSETS = ("all", "specular+transparent")
 
@@ -162,9 +161,28 @@ class RunResult(Result[Manifest]):
 
     Attributes:
         speed: measured speed; None if not measured.
+        said: what the author of predictions in a folder says of them, if anything.
     """
 
     speed: Speed | None
+    said: Submission | None = None
+
+    @property
+    def speed_class(self) -> SpeedClass:
+        """Class in which the method is ranked."""
+        return speed_class(self.speed, self.manifest.setup.device, self.said)
+
+    @property
+    def preset(self) -> str:
+        """Size of the network; "" of methods without one."""
+        setup = self.manifest.setup
+        network = self.speed is not None and self.speed.parameters is not None
+        return setup.preset if network or setup.weights_sha256 else ""
+
+    @property
+    def training_data(self) -> str:
+        """What the method was trained on; "" if nobody says."""
+        return self.manifest.training_data or (self.said.training_data if self.said else "")
 
     @property
     def title(self) -> str:
@@ -199,6 +217,7 @@ def read_run(folder: Path) -> RunResult:
         manifest,
         table,
         read_document(speed, Speed) if speed.exists() else None,
+        read_submission(folder),
         data=known,
     )
     return result.at(result.named)
@@ -221,7 +240,7 @@ def results_table(results: Sequence[RunResult]) -> str:
     """
     blocks = []
     for (split, protocol, grid), means in _means(results):
-        shown = "no frame has a pixel to compare" if means.empty else _table(means)
+        shown = "no frame has a pixel to compare" if means.empty else _table(means, protocol)
         blocks.append(f"{split}, protocol {protocol}, {grid}\n{shown}")
         seen = _seen(results, split, protocol)
         if columns := seen_columns(seen):
@@ -259,9 +278,10 @@ def _means(results: Sequence[RunResult]) -> Iterator[tuple[tuple[str, str, str],
         yield (str(split), str(protocol), grid), means
 
 
-def _table(means: pd.DataFrame) -> str:
+def _table(means: pd.DataFrame, protocol: str) -> str:
     shown = means.rename(columns={"subset": "objects"})
-    return _text_table(shown, ["method", "objects", "frames"], _COLUMNS)
+    columns = shown_columns(aligned=bool(get_protocol(protocol).align))
+    return _text_table(shown, ["method", "objects", "frames"], columns)
 
 
 def _text_table(means: pd.DataFrame, names: list[str], columns: Sequence[Column]) -> str:

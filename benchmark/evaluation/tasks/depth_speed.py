@@ -6,18 +6,28 @@ import resource
 import statistics
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 
+from benchmark.data.frame import DepthFrame
 from benchmark.evaluation.frames import FrameRun, chosen_frames
 from benchmark.evaluation.manifest import Count, hardware
+from benchmark.evaluation.submission import Submission
+from benchmark.methods.depth.full_size import (
+    restorer_view,
+    sensor_view,
+    to_full_size,
+    working_size,
+)
 from benchmark.methods.protocol import Restorer, View
+from benchmark.metrics.protocols.protocol import HARD, get_protocol
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
+from std_toolkit.options import usable_cores
 from std_toolkit.settings import in_force, use_only
 
 SPEED = "speed.json"
@@ -29,6 +39,12 @@ FEWEST = 3
 
 LONGEST_S = 10.0
 
+# What a method of the class `cpu` needs at most: seconds for a frame of a size, on some cores.
+CPU_S, CPU_CORES = 1.0, 2
+STANDARD = (640, 480)
+
+SpeedClass = Literal["cpu", "gpu", "not stated"]
+SPEED_CLASSES: tuple[SpeedClass, ...] = get_args(SpeedClass)
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 
@@ -50,6 +66,9 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         hardware: processor or GPU.
         processor_s: processor time per frame over all cores, which other programs hardly change;
             None in results of earlier versions.
+        standard_s: seconds for a frame of 640x480 as `std-restore` gives it, on 2 cores, the
+            shortest of a few calls; None on a GPU, with fewer cores, and in results of earlier
+            versions.
         load: other work on the machine: the mean number of running programs of the last minute,
             before the measurement; None where the system does not tell.
     """
@@ -64,6 +83,7 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     peak_memory_mib: NotNegative
     hardware: str
     processor_s: float | None = None
+    standard_s: NotNegative | None = None
     load: float | None = None
 
 
@@ -104,6 +124,60 @@ def measure_speed(
     )
 
 
+def standard_seconds(restorer: Restorer, frame: DepthFrame) -> float:
+    """Return the seconds that a frame of 640x480 takes, its enlargement included.
+
+    The shortest of a few calls: other programs only make it longer.
+    """
+    mask = frame.mask_of(*HARD) if restorer.needs_mask else None
+    whole = sensor_view(frame.color, frame.depth_raw, frame.camera, STANDARD, mask=mask)
+    size = working_size(restorer, STANDARD)
+    seconds: list[float] = []
+    end = time.perf_counter() + LONGEST_S
+    while len(seconds) <= FEWEST and (not seconds or time.perf_counter() < end):
+        begin = time.perf_counter()
+        view = sensor_view(whole.color, whole.depth, whole.camera, size, mask=whole.mask)
+        answer = restorer.restore([view])[0]
+        if size is not None:
+            to_full_size(whole.depth, answer, whole.color)
+        seconds.append(time.perf_counter() - begin)
+    return min(seconds)
+
+
+def speed_class(speed: Speed | None, device: str, said: Submission | None = None) -> SpeedClass:
+    """Return the class in which a method is ranked.
+
+    Args:
+        speed: as measured; None if it was not.
+        device: `cpu` or `cuda`, where it was measured.
+        said: what the author of predictions says of them.
+
+    Returns:
+        `cpu` for at most 1 s a frame of 640x480 on 2 cores; `gpu` for methods that were slower, or
+        ran on a GPU; else `not stated`.
+
+    >>> stated = Submission(device="cpu", cores=4, seconds_per_frame=0.4, width=640, height=480)
+    >>> speed_class(None, "cpu", stated), speed_class(None, "cpu")
+    ('cpu', 'not stated')
+    """
+    if speed is not None:
+        if device != "cpu":
+            return "gpu"
+        if speed.standard_s is None:
+            return "not stated"
+        return "cpu" if speed.standard_s <= CPU_S else "gpu"
+    if said is None or not said.device:
+        return "not stated"
+    if said.device == "gpu":
+        return "gpu"
+    known = said.seconds_per_frame, said.cores, said.width, said.height
+    if None in known or said.width * said.height < STANDARD[0] * STANDARD[1]:  # type: ignore[operator]
+        return "not stated"
+    # On two cores it takes at most as many times longer as there are more.
+    seconds = said.seconds_per_frame * max(1.0, said.cores / CPU_CORES)  # type: ignore[operator]
+    return "cpu" if seconds <= CPU_S else "gpu"
+
+
 def _gpu(restorer: Restorer) -> Any:
     device = getattr(restorer, "device", None)
     return device if device is not None and device.type == "cuda" else None
@@ -139,12 +213,21 @@ def speed_of(run: FrameRun[Restorer], protocol: str) -> Speed:
     Raises:
         ToolkitError: no frame can be read, or the method fails on it.
     """
+    speed: Speed = _apart(run, _speed_here, run, protocol)
+    if run.devices[0] == "cpu" and usable_cores() >= CPU_CORES:
+        seconds = _apart(run, _standard_here, run)
+        speed = msgspec.structs.replace(speed, standard_s=seconds)
+    return speed
+
+
+def _apart(run: FrameRun[Restorer], call: Callable[..., Any], *args: Any) -> Any:
+    """The result of a call in a process of its own."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(
         1, mp_context=context, initializer=use_only, initargs=(in_force(),)
     ) as pool:
         try:
-            return pool.submit(_speed_here, run, protocol).result()
+            return pool.submit(call, *args).result()
         except BrokenProcessPool as error:
             raise ToolkitError(
                 "the process that times the method died (killed, or out of memory)",
@@ -153,10 +236,16 @@ def speed_of(run: FrameRun[Restorer], protocol: str) -> Speed:
             ) from error
 
 
-def _speed_here(run: FrameRun[Restorer], protocol: str) -> Speed:
-    from benchmark.methods.depth.full_size import restorer_view
-    from benchmark.metrics.protocols.protocol import get_protocol
+def _standard_here(run: FrameRun[Restorer]) -> float:
+    # Before anything starts threads, which are as many as there are cores.
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CPU_CORES])
+    os.environ["NUMBA_NUM_THREADS"] = str(CPU_CORES)
+    source, restorer = run.open(), run.make(run.devices[0])
+    return standard_seconds(restorer, source.load(chosen_frames(len(source), 1)[0]))
 
+
+def _speed_here(run: FrameRun[Restorer], protocol: str) -> Speed:
     source, restorer = run.open(), run.make(run.devices[0])
     frame = source.load(chosen_frames(len(source), 1)[0])
     view = restorer_view(frame, restorer, get_protocol(protocol).view_size)

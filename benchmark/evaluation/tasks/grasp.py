@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from benchmark.data.identity import SAVED_DEPTH
+from benchmark.data.predictions import SUFFIXES
+from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import GraspConfig, options_by_method
 from benchmark.evaluation.depth_choice import DepthChoice, depth_choice
 from benchmark.evaluation.engine import Task, TaskRun
@@ -22,6 +25,7 @@ from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.evaluation.values import checked_label, plain_label
 from benchmark.methods.registry import MethodOptions, grasp_planners, weights_digest
+from benchmark.methods.training_data import training_data
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
 from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop import depth_model, round, sense
@@ -42,7 +46,7 @@ GRASP_FOLDER, STRIPS = "grasp", "strips"
 _ROUNDS = 6
 
 _OF_CONFIG = (
-    "label", "seed", "out", "camera", "attempts", "move", "meshes", "meshes_unit", "scenes",
+    "seed", "out", "camera", "attempts", "move", "meshes", "meshes_unit", "scenes",
     "devices", "save_views",
 )  # fmt: skip
 
@@ -184,8 +188,23 @@ class GraspRun(TaskRun[None, Methods]):
             setup=setup,
             planner_weights=str(planner.weights or ""),
             depth_weights=str(depth.weights or ""),
+            planner_training_data=training_data(self.planner, methods.planner, planner),
+            depth_training_data=methods.depths.training_data,
             **circumstances(),
         )
+
+    def frames_there(self, data: None) -> int:  # noqa: ARG002
+        return self.rounds
+
+    def inputs(self, data: None) -> Iterator[tuple[int, FrameKey, Inputs]]:  # noqa: ARG002
+        """Yield the saved depth of the views of each round: which views come, grasps decide."""
+        if self.depth.folder is None:
+            return
+        for index in range(self.rounds):
+            folder = self.depth.folder / scene_name(index)
+            paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
+            found = {f"{SAVED_DEPTH} {path.relative_to(folder)}": path for path in paths}
+            yield index, FrameKey(scene_name(index), ""), found
 
     def items(self, data: None, done: set[int], workers: int) -> list[int]:  # noqa: ARG002
         return [i for i in range(self.rounds) if i not in done]
@@ -271,8 +290,11 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
         *(p for p in planners if p != ORACLE),
     ]
     options = options_by_method(config, names)
-    for name in (*(d.name for d in depths), *planners, *filter(None, [config.label])):
+    for name in (*(d.name for d in depths), *planners):
         checked_label(plain_label(name))
+    labels = config.labels
+    if "" in labels:
+        labels = {planners[0]: labels[""]}
     rounds = config.rounds or (len(open_scene_tables(config.scenes)) if config.scenes else _ROUNDS)
     depths = [replace(d, options=options[d.name]) if d.is_restored else d for d in depths]
     return [
@@ -280,6 +302,7 @@ def plan_runs(config: GraspConfig) -> Sequence[GraspRun | DumpRun]:
             **{name: getattr(config, name) for name in _OF_CONFIG},
             depth=depth,
             planner=planner,
+            label=labels.get(planner),
             rounds=rounds,
             planner_options=options.get(planner, MethodOptions()),
             gripper=gripper,

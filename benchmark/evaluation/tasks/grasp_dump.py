@@ -164,7 +164,7 @@ class DumpRun(TaskRun[GraspNetData, None]):
         for index, key in enumerate(data.images):
             folder = self.data / "scenes" / f"scene_{key.scene:04d}" / key.camera
             found = {
-                SAVED_GRASPS: key.path(self.dump),
+                SAVED_GRASPS: key.found(self.dump),
                 "annotation": folder / "annotations" / f"{key.frame:04d}.xml",
                 "camera pose": folder / "camera_poses.npy",
                 "table": folder / "cam0_wrt_table.npy",
@@ -189,7 +189,7 @@ class DumpRun(TaskRun[GraspNetData, None]):
         row: dict[str, Any] = {INDEX: item, SCENE: name.scene, FRAME: name.name, ERROR: ""}
         row |= dict.fromkeys(_COLUMNS, np.nan) | {"grasps": -1}
         try:
-            grasps = read_grasps(key.path(self.dump))
+            grasps = read_grasps(key.found(self.dump))
         except ToolkitError as error:
             # Without an answer nothing is precise.
             row |= {ERROR: error_line(error), **dict.fromkeys(_COLUMNS, 0.0)}
@@ -321,7 +321,7 @@ def plan_dump(dump: Path, config: GraspConfig) -> list[DumpRun]:
             split=config.graspnet_split,
             camera=config.graspnet_camera,
             contacts=config.contacts,
-            label=checked_label(config.label or dump.resolve().name),
+            label=config.labels.get("dump") or checked_label(dump.resolve().name),
             out=config.out,
         )
     ]

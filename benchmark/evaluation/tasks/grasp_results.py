@@ -23,8 +23,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from benchmark.data.identity import answers_digest
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest
-from benchmark.evaluation.results import INDEX, Result, check_columns, find_runs, read_table
+from benchmark.evaluation.results import (
+    INDEX,
+    Result,
+    check_columns,
+    find_runs,
+    read_known,
+    read_table,
+)
 from benchmark.evaluation.tasks.grasp_table import (
     ATTEMPT,
     ATTEMPTS,
@@ -208,9 +216,11 @@ class GraspResult(Result[GraspManifest]):
 
     Attributes:
         rates: rates of the run.
+        saved_depth: digest of all saved depth that the rounds had; "" for other depth.
     """
 
     rates: Rates
+    saved_depth: str = ""
 
     @property
     def name(self) -> RunName:
@@ -249,7 +259,9 @@ def read_grasp_run(folder: Path, *, rounds: int | None = None) -> GraspResult:
         table = table[table[INDEX] < rounds]
     if table.empty:
         raise ToolkitError("no round is finished", path=path)
-    return GraspResult(folder, manifest, table, rates_of(table))
+    content = read_known(folder).content
+    saved = "" if content is None else answers_digest(content)
+    return GraspResult(folder, manifest, table, rates_of(table), saved)
 
 
 def read_grasp_results(folders: Iterable[Path]) -> list[GraspResult]:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame, resize_nearest
+from benchmark.data.prediction_files import FrameFiles
 from benchmark.data.predictions import DepthFolder
-from benchmark.data.splits import DepthSource
+from benchmark.data.splits import DepthSource, FrameKey
 from benchmark.data.true_poses import KnownBox, TruePose, known_boxes, true_poses
-from benchmark.evaluation.config import PoseConfig, options_by_method
+from benchmark.evaluation.config import AS_FILED, PoseConfig, options_by_method
 from benchmark.evaluation.depth_choice import (
     RAW,
     DepthChoice,
@@ -25,15 +26,18 @@ from benchmark.evaluation.frames import (
     Base,
     FrameRun,
     answers_one_by_one,
+    error_line,
     frame_options,
 )
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup, circumstances
+from benchmark.evaluation.pose_predictions import PoseFolder, check_poses
 from benchmark.evaluation.results import ERROR, INDEX
 from benchmark.evaluation.tasks import pose_results, pose_table
-from benchmark.evaluation.values import checked_label
+from benchmark.evaluation.values import check_folders, checked_label, folders_by_name
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.protocol import Estimated, PoseAnswer, PoseEstimator, PoseView
-from benchmark.methods.registry import make_pose_method
+from benchmark.methods.registry import MethodOptions, make_pose_method, pose_methods
+from benchmark.methods.training_data import training_data
 from benchmark.metrics.pose import PoseProtocol
 from std_toolkit.errors import ToolkitError
 
@@ -41,7 +45,8 @@ POSE_FOLDER = "pose"
 
 AS_INPUT = "as-input"
 
-Methods = tuple[PoseEstimator, DepthProvider]
+# Without a method where poses lie in a folder.
+Methods = tuple[PoseEstimator | None, DepthProvider]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +117,8 @@ class PoseRun(FrameRun[Methods]):
     """A pose method on a split with one depth and fit.
 
     Attributes:
-        depth: depth that poses are fitted to.
-        fit: fitting method, `ransac` or `paper`.
+        depth: depth that poses are fitted to; `as-filed` for poses in its folder.
+        fit: fitting method, `ransac` or `paper`, or `as-filed`.
         as_input: networks also receive that depth instead of raw depth.
     """
 
@@ -123,6 +128,11 @@ class PoseRun(FrameRun[Methods]):
     depth: DepthChoice
     fit: str = "ransac"
     as_input: bool = False
+
+    @property
+    def is_filed(self) -> bool:
+        """Whether the poses lie in a folder."""
+        return self.depth.name == AS_FILED
 
     @property
     def depth_label(self) -> str:
@@ -144,14 +154,22 @@ class PoseRun(FrameRun[Methods]):
     @property
     def settings(self) -> dict[str, str]:
         """Settings of the method, including the fit."""
+        if self.is_filed:
+            return {}
         return {**self.options.settings, "fit": self.fit}
 
     def check(self, data: DepthSource) -> None:
         """Raise one error for a split without true poses, instead of one per frame."""
-        for index in self.chosen(data)[:1]:
+        chosen = self.chosen(data)
+        for index in chosen[:1]:
             load_pose_frame(data, index)
+        if self.is_filed and isinstance(answers := self.answers(data), PoseFolder):
+            keys = data.keys()
+            check_poses(answers, [keys[index] for index in chosen])
 
     def make(self, device: str) -> Methods:
+        if self.is_filed:
+            return None, DepthProvider(self.depth, self.split)
         options = replace(self.options, device=device, settings=self.settings)
         depth = replace(self.depth, options=replace(self.depth.options, device=device))
         return make_pose_method(self.method, options), DepthProvider(depth, self.split)
@@ -166,7 +184,7 @@ class PoseRun(FrameRun[Methods]):
             **self.setup(data, method) | {"settings": self.settings},
             **depths.setup(),
             as_input=self.as_input,
-            given_truth=bool(method.needs_truth),
+            given_truth=method is not None and bool(method.needs_truth),
         )
         return PoseManifest(
             label=self.label,
@@ -176,35 +194,30 @@ class PoseRun(FrameRun[Methods]):
             root=str(self.root),
             weights=str(self.options.weights or ""),
             depth_weights=str(self.depth.options.weights or ""),
+            training_data=training_data(self.method, method, self.options),
+            depth_training_data=depths.training_data,
             **circumstances(),
         )
 
-    def answers(self, data: DepthSource) -> DepthFolder | None:
-        folder = self.depth.folder
-        return None if folder is None else DepthFolder(folder, self.split, keys=data.keys())
+    def answers(self, data: DepthSource) -> FrameFiles | None:
+        folder, kind = self.depth.folder, PoseFolder if self.is_filed else DepthFolder
+        return None if folder is None else kind(folder, self.split, data.keys())
 
     def load(self, data: DepthSource, index: int) -> PoseFrame:
         return load_pose_frame(data, index)
 
     def rows(
         self,
-        data: DepthSource,  # noqa: ARG002
+        data: DepthSource,
         methods: Methods,
         frames: Sequence[tuple[Base, PoseFrame | str]],
     ) -> list[dict[str, Any]]:
-        method, depths = methods
         there = {b[INDEX]: frame for b, frame in frames if not isinstance(frame, str)}
-        answers: dict[int, Estimated | str] = {}
-        views: dict[int, PoseView] = {}
-        for index, depth in depths.depths({i: f.frame for i, f in there.items()}).items():
-            if isinstance(depth, str):
-                answers[index] = depth
-                continue
-            frame, boxes = there[index].frame, there[index].boxes
-            sensor = depth if self.as_input else None
-            views[index] = pose_view(frame, depth, method, boxes=boxes, sensor=sensor)
-        estimated = answers_one_by_one(method.estimate, _check_estimated, views)
-        answers |= estimated
+        method, depths = methods
+        if method is None:
+            answers = _filed(self.answers(data), there)
+        else:
+            answers = self._estimated(method, depths, there)
         rows: list[dict[str, Any]] = []
         for base, loaded in frames:
             if isinstance(loaded, str):
@@ -218,6 +231,21 @@ class PoseRun(FrameRun[Methods]):
                 base | {ERROR: error, pose_table.READ: True}, loaded.truths, found
             )
         return rows
+
+    def _estimated(
+        self, method: PoseEstimator, depths: DepthProvider, there: Mapping[int, PoseFrame]
+    ) -> dict[int, Estimated | str]:
+        """Poses by index, or error lines."""
+        answers: dict[int, Estimated | str] = {}
+        views: dict[int, PoseView] = {}
+        for index, depth in depths.depths({i: f.frame for i, f in there.items()}).items():
+            if isinstance(depth, str):
+                answers[index] = depth
+                continue
+            frame, boxes = there[index].frame, there[index].boxes
+            sensor = depth if self.as_input else None
+            views[index] = pose_view(frame, depth, method, boxes=boxes, sensor=sensor)
+        return answers | answers_one_by_one(method.estimate, _check_estimated, views)
 
     def after(self) -> None:
         """Save pictures of a few frames, unless they exist."""
@@ -239,14 +267,16 @@ def plan_runs(config: PoseConfig) -> list[PoseRun]:
             an unknown depth, or a label that cannot be the name of a folder.
     """
     _protocols(config)
+    folders = folders_by_name(config.methods, pose_methods.names())
+    methods = [name for name in config.methods if name not in folders]
     depths = [depth_choice(text) for text in config.depths]
     restored = [depth.name for depth in depths if depth.is_restored]
-    options = options_by_method(config, [*config.methods, *restored])
+    options = options_by_method(config, [*methods, *restored])
     for place, depth in enumerate(depths):
         checked_label(depth.label)
         if depth.is_restored:
             depths[place] = replace(depth, options=options[depth.name])
-    return [
+    runs = [
         PoseRun(
             **frame_options(config, split, method, options),
             depth=depth,
@@ -254,8 +284,29 @@ def plan_runs(config: PoseConfig) -> list[PoseRun]:
             # For raw depth the option would change only the name.
             as_input=config.depth_as_input and depth.name != RAW,
         )
-        for method, split, depth, fit in product(config.methods, config.splits, depths, config.fits)
+        for method, split, depth, fit in product(methods, config.splits, depths, config.fits)
     ]
+    for (label, folder), split in product(folders.values(), config.splits):
+        # No depth and no fit of ours is in these poses.
+        known = frame_options(config, split, AS_FILED, {AS_FILED: MethodOptions(preset="")})
+        depth = DepthChoice(name=AS_FILED, folder=folder)
+        runs.append(PoseRun(**{**known, "label": label, "depth": depth, "fit": AS_FILED}))
+    check_folders([run.folder for run in runs], [run.label for run in runs])
+    return runs
+
+
+def _filed(
+    folder: FrameFiles | None, frames: Mapping[int, PoseFrame]
+) -> dict[int, Estimated | str]:
+    """Poses of a folder by index, or error lines."""
+    assert isinstance(folder, PoseFolder)
+    found: dict[int, Estimated | str] = {}
+    for index, loaded in frames.items():
+        try:
+            found[index] = Estimated(folder.read(FrameKey(loaded.frame.scene, loaded.frame.name)))
+        except ToolkitError as error:
+            found[index] = error_line(error)
+    return found
 
 
 def _protocols(config: PoseConfig) -> list[PoseProtocol]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import Material
-from benchmark.evaluation.config import FITS
+from benchmark.evaluation.config import AS_FILED, FITS
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest
 from benchmark.evaluation.results import (
     FAILED,
@@ -129,7 +129,8 @@ def read_pose_run(folder: Path) -> PoseResult:
         ToolkitError: a file is missing or damaged.
     """
     manifest = read_document(folder / POSE_MANIFEST, PoseManifest)
-    check_known(manifest.fit, FITS, "not a fit of poses", path=folder / POSE_MANIFEST, field="fit")
+    known = (*FITS, AS_FILED)
+    check_known(manifest.fit, known, "not a fit of poses", path=folder / POSE_MANIFEST, field="fit")
     table = read_table(folder / POSES)
     check_columns(table, COLUMNS, folder / POSES)
     return PoseResult(folder, manifest, table, data=read_known(folder))

@@ -5,7 +5,7 @@ names in both.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -240,6 +240,21 @@ NAMES = tuple(figure.name for figure in FIGURES)
 COVERAGE = Column(
     name="coverage", heading="answered", unit="%", factor=100, digits=2, lower_is_better=False
 )
+
+
+def shown_columns(*, aligned: bool = False) -> tuple[Column, ...]:
+    """Return the columns of all figures and coverage, as tables show them.
+
+    Args:
+        aligned: as papers on depth up to scale and shift print them: centimetres, and the relative
+            error in percent.
+    """
+    columns = [*(figure.column for figure in FIGURES), COVERAGE]
+    if aligned:
+        cm, percent = {"unit": "cm", "factor": 1e2, "digits": 2}, {"unit": "%", "factor": 1e2}
+        other = {"rmse": cm, "mae": cm, "rel": percent | {"digits": 2}}
+        columns = [replace(c, **other.get(c.name, {})) for c in columns]  # type: ignore[arg-type]
+    return tuple(columns)
 
 
 @dataclass(frozen=True)

@@ -335,6 +335,11 @@ class DumpKey:
         """Its file below a dump."""
         return root / f"scene_{self.scene:04d}" / self.camera / f"{self.frame:04d}.npy"
 
+    def found(self, root: Path) -> Path:
+        """Its file, also without a folder of the camera; that of `path` if there is none."""
+        plain = root / f"scene_{self.scene:04d}" / f"{self.frame:04d}.npy"
+        return plain if plain.is_file() and not self.path(root).is_file() else self.path(root)
+
 
 def dumped(root: Path, *, camera: str) -> Iterator[DumpKey]:
     """The images that a dump has grasps of.

@@ -1,14 +1,15 @@
 """Evaluation protocols: the pixels and the size of the comparison, and the treatment of holes.
 
 The built-in protocols are the definition in the paper's text with every hole counted (the default),
-the paper's released evaluation, and the grids and pixels of the evaluations of ClearGrasp and of
-TransCG.
+the paper's released evaluation, the grids and pixels of the evaluations of ClearGrasp and of
+TransCG, and depth after an alignment, for methods that know it up to scale and shift.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ protocols: Registry[Protocol] = Registry(
         "paper": "benchmark.metrics.protocols.protocol:PAPER",
         "cleargrasp": "benchmark.metrics.protocols.protocol:CLEARGRASP",
         "transcg": "benchmark.metrics.protocols.protocol:TRANSCG",
+        "aligned-frame": "benchmark.metrics.protocols.protocol:ALIGNED_FRAME",
+        "aligned-clip": "benchmark.metrics.protocols.protocol:ALIGNED_CLIP",
     },
 )
 
@@ -52,12 +55,14 @@ class Subset:
         materials: of the objects that belong to it.
         edges: only the pixels beside a step of depth or the outline of an object.
         category: only objects of this category, where given.
+        background: also the pixels of no object.
     """
 
     name: str
     materials: frozenset[Material] = ALL
     edges: bool = False
     category: str | None = None
+    background: bool = False
 
     def has(self, instance: Instance) -> bool:
         """Whether the pixels of an object belong to it (those at edges, where it is of edges)."""
@@ -100,6 +105,8 @@ class Protocol:
         per_category: whether each category gets a row of its own.
         depth_bins: ends, in metres, of ranges of true depth that get a row each on the first grid
             where a frame has pixels in them, for curves of error against depth.
+        align: `frame` or `clip`: predictions are first mapped to metres by one scale and shift for
+            each frame or scene, by least squares over all pixels of the first grid with truth.
 
     Raises:
         ToolkitError: no grid, no subset, or two of one name.
@@ -114,6 +121,7 @@ class Protocol:
     depth_range: tuple[float, float] = (0.0, float("inf"))
     per_category: bool = False
     depth_bins: tuple[float, ...] = ()
+    align: Literal["", "frame", "clip"] = ""
 
     def __post_init__(self) -> None:
         check_reportable(self.missing)
@@ -209,6 +217,28 @@ TRANSCG = Protocol(
     subsets=(Subset("transparent", frozenset({Material.TRANSPARENT})),),
     missing=Missing.COUNTED,
     depth_range=(0.3, 1.5),
+)
+
+
+ALIGNED_FRAME = Protocol(
+    name="aligned-frame",
+    about="after one scale and shift a frame, by least squares; truth 0.3 to 1.5 m away; cm",
+    grids=(Grid("h126w224", (224, 126)),),
+    subsets=(
+        Subset("everything", background=True),
+        Subset("all"),
+        Subset("specular+transparent", HARD),
+    ),
+    missing=Missing.COUNTED,
+    depth_range=(0.3, 1.5),
+    align="frame",
+)
+
+ALIGNED_CLIP = replace(
+    ALIGNED_FRAME,
+    name="aligned-clip",
+    about="after one scale and shift a scene, by least squares; truth 0.3 to 1.5 m away; cm",
+    align="clip",
 )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Size, pixels_taken
 from benchmark.metrics.depth.figures import Errors
 from benchmark.metrics.depth.tally import tally
+from benchmark.metrics.protocols.alignment import Line, PairSums
 from benchmark.metrics.protocols.protocol import DEPTH_SUBSET, Grid, Protocol, Subset
 from std_toolkit.errors import ToolkitError
 
@@ -112,7 +113,10 @@ class Row:
 
 
 def score_frame(
-    restored: NDArray[np.floating] | None, frame: DepthFrame, protocol: Protocol
+    restored: NDArray[np.floating] | None,
+    frame: DepthFrame,
+    protocol: Protocol,
+    line: Line | None = None,
 ) -> list[Row]:
     """Compare restored depth with a frame's ground truth.
 
@@ -122,6 +126,7 @@ def score_frame(
             the means.
         frame: what was there.
         protocol: how to compare.
+        line: scale and shift of a protocol that aligns; by default those of this frame alone.
 
     Returns:
         A row for each grid and subset, in the protocol's order, also for subsets without pixels;
@@ -140,7 +145,7 @@ def score_frame(
     0.25
     """
     return score_depth(
-        restored, frame.depth_true, frame.mask, frame.instances, protocol, key=frame.key
+        restored, frame.depth_true, frame.mask, frame.instances, protocol, key=frame.key, line=line
     )
 
 
@@ -174,6 +179,7 @@ def score_depth(
     protocol: Protocol,
     *,
     key: str = "frame",
+    line: Line | None = None,
 ) -> list[Row]:
     """`score_frame` without a whole frame, for example to score saved results again.
 
@@ -184,6 +190,7 @@ def score_depth(
         instances: the objects.
         protocol: how to compare.
         key: name of the frame in errors.
+        line: as of `score_frame`.
 
     Returns:
         As `score_frame`.
@@ -207,6 +214,8 @@ def score_depth(
             path=key,
             value=f"{restored.dtype} {restored.shape}",
         )
+    if protocol.align:
+        restored = (line or pair_sums(restored, true, protocol).line).of(restored)
     subsets = protocol.subsets_of(instances)
     # An edge is one of the whole ground truth: on a coarse grid every neighbour is far away.
     band = edge_band(true, mask) if any(s.edges for s in subsets) else None
@@ -220,6 +229,26 @@ def score_depth(
         if grid is protocol.grids[0] and protocol.depth_bins:
             by_depth = _by_depth(p, g, grid, protocol)
     return rows + by_depth
+
+
+def pair_sums(
+    restored: NDArray[np.floating], true: NDArray[np.float32], protocol: Protocol
+) -> PairSums:
+    """Return the sums that align predictions: over all pixels of the first grid with truth.
+
+    Args:
+        restored: (h, w) predictions of any unit.
+        true: (k, l) true metres, 0 where there is none.
+        protocol: whose grid and range of depth count.
+    """
+    steps = protocol.grids[0].steps((true.shape[1], true.shape[0]))
+    depths = [
+        image.ravel() if taken is None else image.ravel().take(taken)
+        for image in (restored, true)
+        for taken in [pixels_taken((image.shape[1], image.shape[0]), *steps)]
+    ]
+    there = protocol.usable(depths[1])
+    return PairSums.of(depths[0][there], depths[1][there])
 
 
 def _by_depth(
@@ -249,9 +278,12 @@ class _Cells:
         for instance in instances:
             if instance.mask_id != BACKGROUND:
                 of_id.setdefault(instance.mask_id, []).append(instance)
-        self.count = len(of_id)
+        around = np.array([s.background for s in subsets])
+        self.count = len(of_id) + int(around.any())
         belongs = np.zeros((len(subsets), self.count), np.bool_)
         self.of_id = np.full(_IDS, _NO_CELL, np.uint8)
+        if around.any():  # the last cell: what is no object
+            belongs[:, -1], self.of_id[:] = around, self.count - 1
         for i, (mask_id, objects) in enumerate(of_id.items()):
             belongs[:, i] = [any(s.has(o) for o in objects) for s in subsets]
             if belongs[:, i].any():

@@ -214,7 +214,9 @@ def _summary(board: leaderboard.Board) -> str:
         if ranked.empty:
             found.append(f"none on {split} ({protocol}, {of}): no method answered every frame")
             continue
-        best = ranked.iloc[0]
-        rmse = depth_tables.RMSE.text(best["rmse"])
-        found.append(f"{best['method']} on {split} ({rmse} mm, {protocol}, {of})")
+        first = ranked.drop_duplicates("speed_class")
+        for best in first.to_dict("records"):
+            rmse = depth_tables.RMSE.text(best["rmse"])
+            of_class = f", class {best['speed_class']}" if len(first) > 1 else ""
+            found.append(f"{best['method']} on {split} ({rmse} mm, {protocol}, {of}{of_class})")
     return "Lowest RMSE: " + "; ".join(found) + "."

@@ -10,6 +10,8 @@ import pandas as pd
 from benchmark.evaluation import probes
 from benchmark.evaluation.results import FAILED
 from benchmark.evaluation.tasks.depth_results import RunResult, seen_columns
+from benchmark.evaluation.tasks.depth_speed import CPU_CORES, CPU_S, STANDARD
+from benchmark.metrics.depth.figures import shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report import leaderboard
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
@@ -17,7 +19,11 @@ from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 RMSE = leaderboard.METRICS[0]
 # Subsets with a separate table.
 MAIN_SUBSETS = ("all", "specular+transparent")
-OBJECTS = {"all": "all objects", "specular+transparent": "specular and transparent objects"}
+OBJECTS = {
+    "everything": "all pixels with truth",
+    "all": "all objects",
+    "specular+transparent": "specular and transparent objects",
+}
 DEPTH_PREFIX = "depth:"
 FEW_SCENES = 10
 CAUTION = (
@@ -28,8 +34,14 @@ LACKING = (
     "Rows with unanswered frames are not ranked: where the method failed, or saved depth has no "
     "file, every pixel counts as missing."
 )
+CLASSES = (
+    f"cpu: at most {CPU_S:g} s a frame of {STANDARD[0]}x{STANDARD[1]} on {CPU_CORES} cores; gpu: "
+    "slower, or measured on one; not stated"
+)
+ALIGNED = "Depth after one scale and shift to the truth: not to be compared with metric depth."
 _COUNTS = (Column(heading="frames", digits=0), Column(heading="scenes", digits=0))
 _METHOD = Column(heading="method", numeric=False)
+_CLASS = Column(heading="class", numeric=False)
 
 
 def board_title(board: leaderboard.Board, split: str, protocol: str) -> str:
@@ -48,6 +60,8 @@ def board_tables(
         all_published: include published ablations and other trainings.
     """
     grid, first = get_protocol(protocol).main
+    aligned = bool(get_protocol(protocol).align)
+    columns = shown_columns(aligned=aligned)
     tables = []
     for subset in dict.fromkeys((first, *MAIN_SUBSETS)):
         rows = board.part(split, protocol, grid, subset)
@@ -55,9 +69,13 @@ def board_tables(
         if measured.empty:
             continue
         ranked = int(leaderboard.is_ranked(rows).sum())
-        notes = [f"Bold: best measured. {_certainty(int(measured['scenes'].max()), ranked)}"]
+        classes = "" if measured["speed_class"].nunique() < 2 else f" of its class ({CLASSES})"
+        notes = [
+            f"Bold: best measured{classes}. {_certainty(int(measured['scenes'].max()), ranked)}"
+        ]
         if ranked < len(measured):
             notes.append(LACKING)
+        notes += [ALIGNED] if aligned else []
         if (
             protocol != leaderboard.PAPERS_PROTOCOL
             and (rows["kind"] == leaderboard.PUBLISHED).any()
@@ -65,9 +83,7 @@ def board_tables(
             notes.append(CAUTION)
         title = f"{board_title(board, split, protocol)}, {OBJECTS.get(subset, subset)}"
         chosen = rows if all_published else leaderboard.one_of_each(rows)
-        tables.append(
-            _method_table(chosen, leaderboard.BOARD, title=title, notes=notes, counts=True)
-        )
+        tables.append(_method_table(chosen, columns, title=title, notes=notes, counts=True))
     return tables
 
 
@@ -142,9 +158,8 @@ def run_table(results: Sequence[RunResult]) -> Table:
     for result in results:
         m, s = result.manifest, result.manifest.setup
         settings = ", ".join(f"{k}={v}" for k, v in sorted(s.settings.items()))
-        how = [s.preset, s.precision, *(["compiled"] if s.compile else []), settings]
-        network = result.speed is not None and result.speed.parameters is not None
-        how = [h for h in how if h] if network or settings else [settings]
+        how = [result.preset, s.precision, *(["compiled"] if s.compile else []), settings]
+        how = how if result.preset or settings else [settings]
         if s.released_loader:
             how.append(f"authors' loader, batches of {s.released_loader}")
         cells = [
@@ -153,10 +168,20 @@ def run_table(results: Sequence[RunResult]) -> Table:
             Cell(text=str(result.data.provenance)),
             *counted(s.frames, result.missing, result.failed),
             Cell(text=", ".join(h for h in how if h)),
-            *machine(s.weights_sha256[:12], m.hardware, m.version_of_tool),
+            *machine(s.weights_sha256[:12], _hardware(result), m.version_of_tool),
+            Cell(text=result.training_data),
         ]
         rows.append(Row(cells))
-    return Table(columns=run_columns("method", "split, protocol", "data"), rows=rows)
+    heads = run_columns("method", "split, protocol", "data")
+    trained = Column(heading="trained on", numeric=False)
+    return Table(columns=[*heads, trained], rows=rows)
+
+
+def _hardware(result: RunResult) -> dict[str, str]:
+    """Of this machine; of predictions in a folder, what their author says."""
+    if not result.manifest.setup.depth_from:
+        return result.manifest.hardware
+    return {"processor": result.said.hardware if result.said else ""}
 
 
 def run_columns(*names: str) -> list[Column]:
@@ -220,6 +245,7 @@ def _method_table(
     best = _best_figures(rows, columns)
     ranked = leaderboard.is_ranked(rows)
     methods = int(ranked.sum())
+    in_classes = bool(set(rows["speed_class"]) & {"cpu", "gpu"})
     made = []
     for row, competes in zip(rows.to_dict("records"), ranked, strict=True):
         published = row["kind"] == leaderboard.PUBLISHED
@@ -227,12 +253,12 @@ def _method_table(
         tested = counts and competes and can_differ(row["scenes"], methods)
         alike = tested and row["p_best"] >= leaderboard.SIGNIFICANT
         note = f"published; {source_of(row)}" if published else "≈" if alike else ""
-        cells = [Cell(text=row["method"], note=note)]
+        cells = [Cell(text=row["method"], note=note), *([class_cell(row)] if in_classes else [])]
         cells += [frames_cell(row), _COUNTS[1].cell(row["scenes"])] if counts else []
         for column in columns:
             value = row[column.name]
             ends = [row.get(f"{column.name}_{end}", math.nan) for end in ("low", "high")]
-            is_best = competes and value == best.get(column.name)
+            is_best = competes and value == best.get((row["speed_class"], column.name))
             nowhere = not published and column is columns[0] and row["failed"] == row["frames"]
             cells.append(
                 column.cell(
@@ -245,7 +271,7 @@ def _method_table(
             )
         cells += [Cell(text=str(row["hardware"]))] if hardware else []
         made.append(Row(cells, "published" if published else ""))
-    heads = [_METHOD, *(_COUNTS if counts else ()), *columns]
+    heads = [_METHOD, *([_CLASS] if in_classes else []), *(_COUNTS if counts else ()), *columns]
     heads += [Column(heading="on", numeric=False)] if hardware else []
     return Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
 
@@ -266,11 +292,21 @@ def source_of(row: dict[str, object]) -> str:
     return f"{table}; trained on {training}" if isinstance(training, str) and training else table
 
 
-def _best_figures(rows: pd.DataFrame, columns: Sequence[Column]) -> dict[str, float]:
-    """The best ranked figure of each column that has a direction."""
+def class_cell(row: dict[str, object]) -> Cell:
+    """Return the cell with the class of speed of a row, and its place in it."""
+    if row["kind"] == leaderboard.PUBLISHED:
+        return Cell(text=NONE)
+    place = row["place"]
+    ranked = isinstance(place, float) and math.isfinite(place)
+    return Cell(text=str(row["speed_class"]), note=f"{place:.0f}." if ranked else "")
+
+
+def _best_figures(rows: pd.DataFrame, columns: Sequence[Column]) -> dict[tuple[str, str], float]:
+    """The best ranked figure of each class and column that has a direction."""
     measured = rows[leaderboard.is_ranked(rows)]
     return {
-        c.name: measured[c.name].min() if c.lower_is_better else measured[c.name].max()
+        (str(name), c.name): part[c.name].min() if c.lower_is_better else part[c.name].max()
+        for name, part in measured.groupby("speed_class")
         for c in columns
         if c.lower_is_better is not None
     }

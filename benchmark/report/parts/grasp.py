@@ -172,6 +172,9 @@ def _run_table(results: Sequence[grasp_results.GraspResult]) -> Table:
         m, s = result.manifest, result.manifest.setup
         how = [f"planner {s.planner_preset}"] if s.planner_weights_sha256 else []
         how += [f"depth {s.depth_preset}"] if s.depth_preset else []
+        trained = (m.planner_training_data, m.depth_training_data)
+        how += [f"trained on {text}" for text in trained if text]
+        how += [f"saved depth {result.saved_depth[:12]}"] if result.saved_depth else []
         how += [f"{s.planner}.{k}={v}" for k, v in sorted(s.planner_settings.items())]
         how += [f"{s.depth}.{k}={v}" for k, v in sorted(s.depth_settings.items())]
         digests = [w[:12] for w in (s.planner_weights_sha256, s.depth_weights_sha256) if w]

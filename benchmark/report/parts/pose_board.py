@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmark.evaluation.config import FITS
+from benchmark.evaluation.config import AS_FILED, FITS
 from benchmark.evaluation.depth_choice import RAW, TRUE
 from benchmark.evaluation.results import counted, unanswered
 from benchmark.evaluation.tasks import pose_results
@@ -222,7 +222,8 @@ def make_pose_board(
     Raises:
         ToolkitError: no run has a frame with a true object.
     """
-    ordered = sorted(results, key=lambda r: (r.split, r.name[0], FITS.index(r.name[2]), _place(r)))
+    fits = (*FITS, AS_FILED)
+    ordered = sorted(results, key=lambda r: (r.split, r.name[0], fits.index(r.name[2]), _place(r)))
     rows, details, compared = [], {}, {}
     for split in dict.fromkeys(result.split for result in ordered):
         mine = [result for result in ordered if result.split == split]
@@ -282,7 +283,7 @@ def _against_raw(scored: Sequence[pose_results.Scored], samples: int) -> list[Co
     found = []
     for each in scored:
         method, depth, fit = each.result.name
-        if depth == RAW:
+        if depth in (RAW, AS_FILED):
             continue
         base = raw.get((method, fit))
         if base is None:

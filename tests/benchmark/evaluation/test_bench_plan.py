@@ -130,3 +130,29 @@ def test_a_device_that_is_taken_is_not_given_again(tmp_path: Path, monkeypatch) 
             engine.claim_device(devices, tmp_path)
     assert engine.claim_device(devices, tmp_path) == "cuda:0"
     engine.claim_device.cache_clear()
+
+
+def test_labels_of_several_methods() -> None:
+    runs = plan_runs(config(label=("swindrnet=ours", "raw=sensor"), splits=("std-catknown",)))
+    assert [run.label for run in runs] == ["ours", "sensor"]
+    one = plan_runs(config(methods=("raw",), label=("sensor",)))
+    assert {run.label for run in one} == {"sensor"}
+    beside = config(methods=("raw", "mine=out"), label=("sensor",), splits=("std-catknown",))
+    assert [run.label for run in plan_runs(beside)] == ["sensor", "mine"]
+    assert not plan_runs(beside)[1].speed
+
+
+@pytest.mark.parametrize(
+    ("label", "told"),
+    [
+        (("mine",), "names one method, not several"),
+        (("raw=a", "raw=b"), "two names for one method"),
+        (("raw=a/b",), "usable as a folder's name"),
+        (("nlspn=a",), "names one method, not several"),
+    ],
+)
+def test_wrong_labels(label: tuple[str, ...], told: str) -> None:
+    with pytest.raises(ToolkitError, match=told):
+        config(label=label)
+    with pytest.raises(ToolkitError, match="two methods have this name"):
+        plan_runs(config(label=("swindrnet=raw",)))

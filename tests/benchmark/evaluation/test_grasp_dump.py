@@ -142,6 +142,21 @@ def test_dumps_stand_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert table.set_index("grasps").loc["half", "ap"] == pytest.approx(alone / 2)
 
 
+@pytest.mark.slow
+def test_arrays_of_anygrasp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """float32, without a folder of the camera."""
+    root, dump = tmp_path / "graspnet", tmp_path / "any"
+    two_scenes(root)
+    for scene in (100, 165):
+        (dump / f"scene_0{scene}").mkdir(parents=True)
+        grasps = from_above(0.0).to_array().astype(np.float32)
+        np.save(dump / f"scene_0{scene}/0000.npy", grasps)
+    words = ("--dump", dump, "--data", root, "--out", tmp_path / "out")
+    status, (row,), _ = run(capsys, *words)
+    assert status == 0 and row["unanswered"] == 0
+    assert row["ap"][0] == pytest.approx(100 * np.mean(1 / np.arange(1, 51)))
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -164,6 +179,6 @@ def test_wrong_input_is_one_line(
     (tmp_path / "mine").mkdir()
     write_scene(tmp_path / "graspnet", 100, {7: SE3.identity()}, SE3.identity())
     status, rows, error = run(capsys, *words, "--out", "out")
-    assert status == 1 and not rows
+    assert status == (2 if "--label" in words else 1) and not rows
     lines = [line for line in error.splitlines() if line.startswith("error")]
     assert len(lines) == 1 and told in lines[0]

@@ -295,3 +295,42 @@ def test_a_pfm_is_read_from_the_bottom(tmp_path: Path) -> None:
     (tmp_path / "a.pfm").write_bytes(b"PF\n3 2\n-1\n" + bytes(72))
     with pytest.raises(ToolkitError, match="one channel"):
         read_prediction(tmp_path / "a.pfm")
+
+
+def test_a_spread_beside_the_depth_is_judged(
+    root: Path, tmp_path: Path, answers: dict[FrameKey, Depth], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_answers(tmp_path / "mine", answers, *FORMS["png beside a confidence"])
+    words = ["--method", f"mine={folder}", "--protocol", "strict"]
+    assert bench(root, tmp_path / "out", *words) == 0
+    path = tmp_path / "out" / SPLIT / "mine" / "strict" / TABLE
+    assert pd.read_parquet(path)["spread1_glass"].isna().all()
+    for key, depth in answers.items():  # 12 mm expected, 10 are right; none in the upper rows
+        spread = np.full(depth.shape, 0.012, np.float32)
+        spread[:3] = np.nan
+        np.save(folder / key.scene / f"{key.name}_spread.npy", spread * 1000)
+    capsys.readouterr()
+    assert bench(root, tmp_path / "out", *words, "--depth-unit", "mm") == 1  # another unit
+    out = tmp_path / "again"
+    assert bench(root, out, *words, "--depth-unit", "mm") == 0
+    table = pd.read_parquet(out / SPLIT / "mine" / "strict" / TABLE).dropna(subset="selective_50")
+    assert len(table) == 4
+    np.testing.assert_allclose(table[["selective_50", "selective_area"]], 0.01, atol=6e-4)
+    assert (table[["spread1_opaque", "spread2_opaque"]].stack() == 1).all()
+    np.save(folder / key.scene / f"{key.name}_spread.npy", spread[::2])
+    assert bench(root, out, *words, "--depth-unit", "mm") == 1
+    error = capsys.readouterr().err
+    assert "saved spread of" in error and "another size than the depth" in error
+
+
+def test_a_million_names_are_one_line(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from benchmark.data import prediction_files
+
+    monkeypatch.setattr(prediction_files, "_MOST_NAMES", 50)
+    for i in range(60):
+        (tmp_path / f"<script>alert({i})").touch()
+    assert bench(root, tmp_path / "out", "--method", f"mine={tmp_path}") == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "too many for predictions of a data set" in line and "script" not in line

@@ -7,6 +7,7 @@ import re
 import shutil
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from benchmark.cli.bench import main as bench
@@ -17,6 +18,7 @@ from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.tasks.depth_results import depth_records, read_results
 from benchmark.report.leaderboard import PUBLISHED, make_board
 from benchmark.report.page import make_parts
+from sensors.simulation.options import PRESETS
 from std_toolkit.jobs import JobOptions
 from tests.benchmark.evaluation.bench_set import SPLIT, a_run, published_as, write_split
 from tests.benchmark.evaluation.pose_set import SIZE, a_pose_run, write_pose_split
@@ -72,6 +74,19 @@ def test_simulated_frames_say_version_and_seeds(tmp_path: Path) -> None:
     found = origin(root, TEST)
     assert found.kind == "simulated"
     assert re.fullmatch(r"std-sim 0\.2\.0, d415, options [0-9a-f]{8}, seeds 40 to 42", found.about)
+    usual = msgspec.to_builtins(PRESETS["tiny"].options)
+    for options, told in (
+        (usual, "preset tiny"),
+        (usual | {"views": 2}, "preset tiny with views 2"),
+        (usual | {"quality": "<script>"}, "preset tiny with quality other"),
+        ({**usual, "unheard": 1}, r"options [0-9a-f]{8}"),
+        (dict.fromkeys(usual, 1), r"options [0-9a-f]{8}"),
+    ):
+        for path in (root / "parameters/test").iterdir():
+            record = json.loads(path.read_text()) | {"parameters": {"options": options}}
+            path.write_text(json.dumps(record))
+        about = origin(root, TEST).about
+        assert re.fullmatch(rf"std-sim 0\.2\.0, d415, {told}, seeds 40 to 42", about), about
     (root / "parameters/test/2.json").unlink()
     assert origin(root, TEST) == Provenance(about="2 of 3 scenes simulated")
 

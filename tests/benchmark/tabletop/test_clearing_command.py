@@ -29,7 +29,7 @@ GRASP = ["grasp", "--depth", "gt"]
         (["--iou", "aabb"], "not an option of std-bench grasp", 2),
         (["--meshes", "nowhere"], "folder of assets is not there", 1),
         (["--meshes-unit", "mm"], "belongs to --meshes", 2),
-        (["--planner", "antipodal", "oracle", "--label", "mine"], "names one planner", 2),
+        (["--planner", "antipodal", "oracle", "--label", "mine"], "names one method", 2),
         (["--move", "slow"], "expected one of guarded, straight", 2),
     ],
 )

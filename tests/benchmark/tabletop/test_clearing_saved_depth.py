@@ -7,7 +7,11 @@ import trimesh
 
 from benchmark.cli.bench import main
 from benchmark.data.frame import BACKGROUND, DepthFrame
+from benchmark.data.identity import answers_digest
 from benchmark.evaluation.depth_choice import DepthChoice
+from benchmark.evaluation.renewal import renew
+from benchmark.evaluation.results import read_known
+from benchmark.evaluation.tasks.grasp import GraspRun
 from benchmark.evaluation.tasks.grasp_inputs import Methods
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
 from benchmark.methods.registry import MethodOptions
@@ -68,6 +72,23 @@ def test_the_planner_gets_the_saved_depth(tmp_path):
     write_exr(tmp_path / "round-0000" / "depth" / f"{view.name}.exr", {"Y": depth})
     given = methods.given(view).depth
     assert (given[:2] == 0).all() and (given[2:] == np.float32(0.4)).all()
+
+
+def test_rounds_whose_saved_depth_changed_are_cleared_again(tmp_path, caplog):
+    depth = DepthChoice(name="mine", folder=tmp_path)
+    run = GraspRun(depth=depth, planner="oracle", rounds=2, seed=0, out=tmp_path / "out")
+    for scene in ("round-0000", "round-0001"):
+        write_exr(tmp_path / scene / "depth" / "00-aa.exr", {"Y": np.ones(SIZE, np.float32)})
+    run.folder.mkdir(parents=True)
+    none, rows = pd.DataFrame({"index": []}), pd.DataFrame({"index": [0, 1], "error": ["", ""]})
+    renew(run, None).apply(run, None, none)
+    assert len(renew(run, None).apply(run, None, rows)) == 2
+    before = answers_digest(read_known(run.folder).content)
+    write_exr(tmp_path / "round-0001" / "depth" / "00-aa.exr", {"Y": np.ones((2, 2), np.float32)})
+    assert renew(run, None).apply(run, None, rows)["index"].tolist() == [0]
+    assert "saved depth depth/00-aa.exr of round-0001" in caplog.text
+    after = answers_digest(read_known(run.folder).content)
+    assert before and after and before != after
 
 
 @pytest.mark.long

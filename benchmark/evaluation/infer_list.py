@@ -1,0 +1,121 @@
+"""`std-bench infer-list`: the frames of a split as a table, for programs of other environments.
+
+A program reads `frames.csv`, and for each row colour, raw depth and intrinsics; it writes depth to
+`out`. Colour is named where it lies. Raw depth is written anew, as 16-bit PNG of 0.1 mm, whatever
+the data set's own form: every library reads it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.data.frame import DepthFrame
+from benchmark.data.splits import DepthSource, FrameKey, inputs_of, open_split
+from benchmark.evaluation.config import FRAME_LIST, InferListOptions
+from benchmark.evaluation.frames import chosen_frames
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.images import write_color, write_png
+from std_toolkit.jobs import run_jobs
+
+COLUMNS = (
+    "scene", "frame", "color", "raw", "raw_unit_m", "width", "height", "fx", "fy", "cx", "cy",
+    "out",
+)  # fmt: skip
+
+# 6.5 m at 0.1 mm: what a camera of tables measures.
+_UNIT_M = 1e-4
+_LARGEST = 65535
+_ORDINARY = (".png", ".jpg", ".jpeg")
+
+
+@cache
+def _source(split: str, root: Path) -> DepthSource:
+    """The split, listed once in a process."""
+    return open_split(split, root)
+
+
+@dataclass(frozen=True)
+class _Writer:
+    """Writes the files of a frame."""
+
+    options: InferListOptions
+
+    def __call__(self, index: int) -> dict[str, Any]:
+        source = _source(self.options.split, self.options.data)
+        frame = source.load(index)
+        key = FrameKey(frame.scene, frame.name)
+        found = inputs_of(source, index).get("colour")
+        color = _color_file(self.options.out, key, frame, found)
+        raw = self.options.out / "raw" / key.scene / f"{key.name}.png"
+        raw.parent.mkdir(parents=True, exist_ok=True)
+        write_png(raw, _units(frame.depth_raw))
+        camera = frame.camera.resized(frame.color.shape[1], frame.color.shape[0])
+        values = (
+            *key, color.resolve(), raw.resolve(), _UNIT_M, camera.width, camera.height, camera.fx,
+            camera.fy, camera.cx, camera.cy,
+            (self.options.out / "predictions" / key.scene / f"{key.name}.npy").resolve(),
+        )  # fmt: skip
+        return dict(zip(COLUMNS, map(str, values), strict=True))
+
+
+def _units(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
+    units = np.rint(depth.astype(np.float64) / _UNIT_M)
+    return np.where(units > _LARGEST, 0, units).astype(np.uint16)
+
+
+def _color_file(out: Path, key: FrameKey, frame: DepthFrame, found: object) -> Path:
+    """The colour image where it lies; a copy of one that not every library reads."""
+    if isinstance(found, Path) and found.suffix.lower() in _ORDINARY:
+        return found
+    path = out / "color" / key.scene / f"{key.name}.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_color(path, frame.color)
+    return path
+
+
+def write_infer_list(options: InferListOptions) -> Path:
+    """Write the list, and the raw depth of every frame.
+
+    Returns:
+        The list.
+
+    Raises:
+        ToolkitError: no data, a frame that cannot be read, or a folder that cannot be written.
+    """
+    source = open_split(options.split, options.data)
+    chosen = chosen_frames(len(source), options.limit)
+    if not chosen:
+        raise ToolkitError("the split has no frame here", path=options.data, value=options.split)
+    keys = source.keys()
+    report = run_jobs(
+        _Writer(options),
+        chosen,
+        name="infer-list",
+        key=lambda index: str(keys[index]),
+        options=options.jobs,
+    )
+    if report.failed:
+        where, why = next(iter(report.failed.items()))
+        raise ToolkitError(f"{len(report.failed)} frames cannot be listed; {where}: {why}")
+    rows = [report.results[str(keys[index])] for index in chosen]
+    path = options.out / FRAME_LIST
+    write_bytes_atomic(path, _table(rows).encode())
+    return path
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,90 @@
+"""What weights were trained on, as the files beside them say: a run of `std-train`, or a card."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from benchmark.methods.registry import MethodOptions, shipped_file
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import read_document
+from std_toolkit.io.regular import read_text
+
+# What `std-train` leaves beside weights.
+RUN_NOTE = "run.json"
+
+# Rows of a card, as `std-train export` writes it.
+_PART = re.compile(r"^\| ([^|]+?) \| ([\d,]+) frames of (\d+) scenes", re.MULTILINE)
+_SECTION = re.compile(r"^## Trained on\n(.*?)^## ", re.MULTILINE | re.DOTALL)
+_LARGEST_CARD = 2**20
+
+
+class _Part(msgspec.Struct, frozen=True):
+    split: str
+    frames: int
+    scenes: list[str] = []
+    simulation: dict[str, Any] = {}
+
+
+class _Note(msgspec.Struct, frozen=True):
+    training: list[_Part]
+
+
+def training_data(name: str, method: object, options: MethodOptions) -> str:
+    """Return what the weights of a method were trained on, in one line.
+
+    Args:
+        name: name of the method.
+        method: the method; None if there is none.
+        options: options that the method was created with.
+
+    Returns:
+        Data sets with numbers of frames and scenes, of the record of `std-train` or the card beside
+        the weights; "" without weights, or where neither lies there.
+    """
+    weights = getattr(method, "weights", None) or options.weights
+    if method is None:
+        return ""
+    if weights is None:
+        weights = shipped_file(name, options.preset)
+    if not isinstance(weights, Path) or not weights.is_file():
+        return ""
+    try:
+        return _of_run(weights.parent / RUN_NOTE) or _of_card(weights.with_suffix(".md"))
+    except ToolkitError:  # a courtesy: the weights themselves were read
+        return ""
+
+
+def _of_run(path: Path) -> str:
+    if not path.is_file():
+        return ""
+    parts = read_document(path, _Note).training
+    simulated = any(part.simulation for part in parts)
+    return _told([(p.split, p.frames, len(p.scenes)) for p in parts], simulated=simulated)
+
+
+def _of_card(path: Path) -> str:
+    if not path.is_file():
+        return ""
+    section = _SECTION.search(read_text(path, "card", _LARGEST_CARD))
+    if section is None:
+        return ""
+    found = _PART.findall(section[1])
+    parts = [(name, int(n.replace(",", "")), int(scenes)) for name, n, scenes in found]
+    return _told(parts, simulated="| simulated by std-sim |" in section[1])
+
+
+def _told(parts: list[tuple[str, int, int]], *, simulated: bool) -> str:
+    """Parts of one split together.
+
+    >>> _told([("a", 1000, 3), ("a", 500, 2)], simulated=True)
+    'std-sim:a (1,500 frames of 5 scenes)'
+    """
+    sums: dict[str, list[int]] = {}
+    for name, frames, scenes in parts:
+        both = sums.setdefault(name, [0, 0])
+        both[0] += frames
+        both[1] += scenes
+    mark = "std-sim:" if simulated else ""
+    return ", ".join(f"{mark}{n} ({f:,} frames of {s} scenes)" for n, (f, s) in sums.items())

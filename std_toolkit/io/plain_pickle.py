@@ -1,0 +1,184 @@
+"""Pickles of plain values and arrays, read without running anything that they name.
+
+Nothing of a pickle is imported or called: names of NumPy stand for classes of this module, which
+become arrays of numbers after their sizes are checked; any other name is refused.
+"""
+
+import io
+import math
+import pickle
+import pickletools
+import re
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.regular import open_regular_file
+
+# Pickles of a frame's poses have under 100 kB.
+_LARGEST_BYTES = 64 * 2**20
+_MOST_STEPS = 2_000_000
+_KIND = re.compile(r"[<>=|]?[biufSU?]\d{0,4}")
+_NUMBERS = "biuf"
+_DEEPEST_LIST = 4
+_MOST_NUMBERS = 1_000_000
+# Steps that call something other than what a name stands for.
+_REFUSED = frozenset({"PERSID", "BINPERSID", "EXT1", "EXT2", "EXT4", "INST", "OBJ", "NEXT_BUFFER"})
+
+
+class _Kind:
+    """Stands for `numpy.dtype`."""
+
+    def __init__(self, text: Any, *_: Any) -> None:
+        if not isinstance(text, str) or not _KIND.fullmatch(text):
+            raise ValueError(f"an array of {str(text)[:20]!r}")
+        self.text, self.order = text.lstrip("<>=|"), "<"
+
+    def __setstate__(self, state: Any) -> None:
+        order = state[1] if isinstance(state, tuple) and len(state) > 1 else "<"
+        self.order = ">" if order == ">" else "<"
+
+    def dtype(self) -> np.dtype[Any]:
+        return np.dtype(self.order + self.text)
+
+
+class _Array:
+    """Stands for an array; `state` is (version, shape, kind, Fortran order, bytes)."""
+
+    state: Any = None
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+    def array(self) -> NDArray[Any]:
+        _, shape, kind, fortran, data = self.state
+        return _array(shape, kind, "F" if fortran else "C", data)
+
+
+class _Numpy:
+    """Stands for the class `numpy.ndarray`, which only `_begin` is given."""
+
+
+def _array(shape: Any, kind: Any, order: Any, data: Any) -> NDArray[Any]:
+    data = data.encode("latin-1") if isinstance(data, str) else data  # of Python 2
+    if not isinstance(kind, _Kind) or not isinstance(data, bytes | bytearray):
+        raise ValueError("an array of objects")
+    sizes = tuple(int(n) for n in shape)
+    dtype = kind.dtype()
+    if min(sizes, default=0) < 0 or math.prod(sizes) * dtype.itemsize != len(data):
+        raise ValueError("an array of another size than its bytes")
+    order = "F" if order == "F" else "C"
+    return np.frombuffer(data, dtype).reshape(sizes, order=order)
+
+
+def _begin(*_: Any) -> _Array:
+    return _Array()
+
+
+def _from_buffer(data: Any, kind: Any, shape: Any, order: Any = "C") -> NDArray[Any]:
+    return _array(shape, kind, order, data)
+
+
+def _scalar(kind: Any, data: Any) -> Any:
+    return _array((), kind, "C", data)[()]
+
+
+def _bytes(data: Any = b"", *_: Any) -> bytes:
+    if not isinstance(data, bytes | bytearray):  # a number would reserve as many
+        raise ValueError("bytes of something else")
+    return bytes(data)
+
+
+_CORE = ("numpy.core", "numpy._core")
+_NAMES: dict[tuple[str, str], Callable[..., Any]] = {
+    ("numpy", "ndarray"): _Numpy,
+    ("numpy", "dtype"): _Kind,
+    ("collections", "OrderedDict"): OrderedDict,
+    **{(m, n): _bytes for m in ("__builtin__", "builtins") for n in ("bytes", "bytearray")},
+    ("_codecs", "encode"): lambda text, _: str(text).encode("latin-1"),
+    **{(f"{core}.multiarray", "_reconstruct"): _begin for core in _CORE},
+    **{(f"{core}.multiarray", "scalar"): _scalar for core in _CORE},
+    **{(f"{core}.numeric", "_frombuffer"): _from_buffer for core in _CORE},
+}
+
+
+class _Reader(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        found = _NAMES.get((module, name))
+        if found is None:
+            raise pickle.UnpicklingError(f"names {module}.{name}, which could run anything"[:160])
+        return found
+
+    def persistent_load(self, pid: Any) -> Any:  # noqa: ARG002
+        raise pickle.UnpicklingError("refers to something outside")
+
+
+def read_pickle(path: Path) -> Any:
+    """Read a pickle of numbers, texts, arrays of numbers, and lists, tuples and dicts of them.
+
+    Arrays of the result are read-only, or stand in for arrays that `array_in` returns.
+
+    Raises:
+        ToolkitError: no such file, larger than 64 MB, damaged, or it names anything else: such a
+            pickle could run any program, and is not read.
+    """
+    try:
+        with open_regular_file(path, "pickle", _LARGEST_BYTES) as file:
+            data = file.read()
+        # Looked at first: a length that lies reserves memory when it is read.
+        for step, (code, _, _) in enumerate(pickletools.genops(data)):
+            if code.name in _REFUSED or step > _MOST_STEPS:
+                raise pickle.UnpicklingError(f"has the step {code.name}, number {step}")
+        return _Reader(io.BytesIO(data), encoding="latin-1").load()
+    except ToolkitError:
+        raise
+    except Exception as error:  # of a damaged pickle: nearly any
+        line = " ".join(str(error).split())[:200]
+        raise ToolkitError(
+            f"no pickle of plain values: {line}",
+            path=path,
+            hint="only numbers, texts, arrays of numbers, lists and dicts are read",
+        ) from error
+
+
+def array_in(value: Any, path: Path, field: str) -> NDArray[np.float64]:
+    """Return a value of `read_pickle` or `read_json` as an array of float64.
+
+    Args:
+        value: an array, a number, or lists of them of equal lengths, at most four levels deep.
+        path, field: where it stands, for errors.
+
+    Raises:
+        ToolkitError: something else, or more than a million numbers.
+    """
+    try:
+        left = [_MOST_NUMBERS]
+        return np.array(_plain(value, _DEEPEST_LIST, left, whole=True), dtype=np.float64)
+    except (ValueError, TypeError, OverflowError, IndexError) as error:
+        raise ToolkitError("must be an array of numbers", path=path, field=field) from error
+
+
+def _plain(value: Any, levels: int, left: list[int], *, whole: bool = False) -> Any:
+    """Lists of numbers, or the `whole` array; `left` counts down how many may still come."""
+    if isinstance(value, _Array):
+        value = value.array()
+    if isinstance(value, np.ndarray | np.generic):
+        left[0] -= value.size
+        if value.dtype.kind not in _NUMBERS or left[0] < 0:
+            raise ValueError
+        return value if whole else value.tolist()  # an empty array keeps its shape
+    if isinstance(value, list | tuple):
+        if not levels:
+            raise ValueError
+        left[0] -= len(value)
+        if left[0] < 0:
+            raise ValueError
+        return [_plain(item, levels - 1, left) for item in value]
+    if isinstance(value, int | float):
+        return value
+    raise ValueError

@@ -1,0 +1,140 @@
+"""`infer-list`, the programs that fill it in, and the score of what they wrote."""
+
+from __future__ import annotations
+
+import csv
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmark.cli.bench import main
+from benchmark.data.splits import open_split
+from benchmark.evaluation.results import TABLE
+from benchmark.metrics.protocols import get_protocol, score_frame
+from tests.benchmark.evaluation.bench_set import SPLIT, write_split
+from tests.scene_on_disk import write_scene
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples" / "infer"
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_split(tmp_path_factory.mktemp("data"), scenes=2, frames=2)
+
+
+@pytest.fixture
+def listed(root: Path, tmp_path: Path) -> list[dict[str, str]]:
+    words = ["--data", str(root), "--split", SPLIT, "--out", str(tmp_path / "todo")]
+    assert main(["infer-list", *words, "--engine", "serial"]) == 0
+    with (tmp_path / "todo" / "frames.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def run_example(name: str, *words: object) -> None:
+    """Run a script in a process that cannot import the toolkit."""
+    code = (
+        "import runpy, sys; sys.modules['std_toolkit'] = sys.modules['benchmark'] = None; "
+        "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0])"
+    )
+    command = [sys.executable, "-c", code, str(EXAMPLES / name), *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_list_says_what_the_reader_says(root: Path, listed: list[dict[str, str]]) -> None:
+    source = open_split(SPLIT, root)
+    assert len(listed) == len(source) == 4
+    for index, row in enumerate(listed):
+        frame = source.load(index)
+        assert (row["scene"], row["frame"]) == (frame.scene, frame.name)
+        np.testing.assert_array_equal(cv2.imread(row["color"])[..., ::-1], frame.color)
+        raw = cv2.imread(row["raw"], cv2.IMREAD_UNCHANGED) * float(row["raw_unit_m"])
+        np.testing.assert_allclose(raw, frame.depth_raw, atol=5.1e-5)
+        height, width = frame.color.shape[:2]
+        assert (int(row["width"]), int(row["height"])) == (width, height)
+        camera = frame.camera.resized(width, height)
+        for name in ("fx", "fy", "cx", "cy"):
+            assert float(row[name]) == getattr(camera, name)
+
+
+def test_from_the_list_to_the_score(
+    root: Path, tmp_path: Path, listed: list[dict[str, str]]
+) -> None:
+    """A program that knows nothing of the toolkit scores what its model is worth."""
+    import torch
+
+    class Fills(torch.nn.Module):
+        """The sensor's depth, and 0.7 m where there is none."""
+
+        def forward(self, color: torch.Tensor, depth: torch.Tensor) -> torch.Tensor:
+            return torch.where(depth > 0, depth, torch.full_like(depth, 0.7)) + 0 * color[:, :1]
+
+    model = tmp_path / "model.pt"
+    torch.jit.script(Fills()).save(str(model))
+    run_example("plain_torch.py", tmp_path / "todo" / "frames.csv", model)
+    words = ["depth", "--data", str(root), "--split", SPLIT, "--out", str(tmp_path / "out")]
+    words += ["--engine", "serial", "--no-gallery", "--no-speed", "--method"]
+    assert main([*words, f"mine={tmp_path / 'todo' / 'predictions'}"]) == 0
+    table = pd.read_parquet(tmp_path / "out" / SPLIT / "mine" / "strict" / TABLE)
+    rows = table[(table["grid"] == "h126w224") & (table["subset"] == "all")]
+    source = open_split(SPLIT, root)
+    for index, found in enumerate(rows["rmse"]):
+        frame = source.load(index)
+        wanted = np.where(frame.depth_raw > 0, frame.depth_raw, np.float32(0.7))
+        errors = score_frame(wanted, frame, get_protocol())[0].errors
+        # Raw depth was enlarged to the size of colour, by another nearest pixel.
+        assert found == pytest.approx(errors.rmse, rel=0.02) and found > 0.01
+    assert (rows["coverage"] == 1).all()
+    # A second list into the same folder goes on; another limit writes another list.
+    again = ["infer-list", "--data", str(root), "--split", SPLIT, "--out", str(tmp_path / "todo")]
+    assert main([*again, "--limit", "1", "--engine", "serial"]) == 0
+    assert len((tmp_path / "todo" / "frames.csv").read_text().splitlines()) == 2
+
+
+def test_with_transformers(root: Path, tmp_path: Path, listed: list[dict[str, str]]) -> None:
+    """A tiny model of random weights: its numbers are worth nothing, its shapes are."""
+    transformers = pytest.importorskip("transformers")
+    backbone = transformers.Dinov2Config(
+        hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=56, patch_size=14,
+        out_features=["stage1", "stage2", "stage3", "stage4"], reshape_hidden_states=False,
+        apply_layernorm=True,
+    )  # fmt: skip
+    config = transformers.DepthAnythingConfig(
+        backbone_config=backbone, reassemble_hidden_size=16, neck_hidden_sizes=[8, 8, 8, 8],
+        fusion_hidden_size=8, head_hidden_size=4, patch_size=14,
+    )  # fmt: skip
+    transformers.DepthAnythingForDepthEstimation(config).save_pretrained(tmp_path / "model")
+    run_example("depth_anything.py", tmp_path / "todo" / "frames.csv", tmp_path / "model")
+    words = ["depth", "--data", str(root), "--split", SPLIT, "--out", str(tmp_path / "out")]
+    words += ["--engine", "serial", "--protocol", "aligned-frame", "--method"]
+    assert main([*words, f"da={tmp_path / 'todo' / 'predictions'}"]) == 0
+    table = pd.read_parquet(tmp_path / "out" / SPLIT / "da" / "aligned-frame" / TABLE)
+    assert (table["coverage"] > 0.99).all() and np.isfinite(table["rmse"]).all()
+
+
+def test_the_container_names_files_that_are_there() -> None:
+    text = (EXAMPLES / "Dockerfile").read_text()
+    assert re.search(r"^COPY plain_torch.py model.pt /$", text, re.MULTILINE)
+    assert (EXAMPLES / "plain_torch.py").is_file()
+    for path in EXAMPLES.glob("*.py"):
+        assert len(path.read_text().splitlines()) < 60
+
+
+def test_scenes_of_the_toolkit_and_wrong_folders(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["infer-list", "--split", "scenes", "--engine", "serial", "--out"]
+    (tmp_path / "none").mkdir()
+    assert main([*words, str(tmp_path / "out"), "--data", str(tmp_path / "none")]) == 1
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").touch()
+    write_scene(tmp_path / "scenes" / "a")
+    assert main([*words, str(tmp_path / "mine"), "--data", str(tmp_path / "scenes")]) != 0
+    assert "mine" in capsys.readouterr().err

@@ -1,0 +1,99 @@
+"""Pickles of others: plain values come back, anything else is one line and runs nothing."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from collections import OrderedDict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io.plain_pickle import array_in, read_pickle
+
+VALUES = {
+    "ids": np.array([1, 2]),
+    "poses": np.stack([np.eye(4)] * 2),
+    "scores": np.array([0.5, 0.25], np.float32),
+    "big end": np.arange(3, dtype=">i4"),
+    "columns": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+    "empty": np.zeros((0, 3)),
+    "number": np.float32(3),
+    "list": [[1, 2.5], (3, True)],
+}
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_arrays_of_every_protocol(tmp_path: Path, protocol: int) -> None:
+    path = tmp_path / "a.pkl"
+    path.write_bytes(pickle.dumps(OrderedDict(VALUES, path="scene/0001"), protocol))
+    found = read_pickle(path)
+    assert found["path"] == "scene/0001"
+    for name, value in VALUES.items():
+        np.testing.assert_array_equal(array_in(found[name], path, name), value)
+        assert array_in(found[name], path, name).shape == np.shape(value)
+
+
+def test_arrays_of_python_2(tmp_path: Path) -> None:
+    """There, the bytes of an array are a text."""
+    path = tmp_path / "a.pkl"
+    path.write_bytes(
+        b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R"
+        b"(K\x01K\x02\x85cnumpy\ndtype\nU\x02i2K\x00K\x01\x87R"
+        b"(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x04\x01\x00\xff\x00tb."
+    )
+    assert array_in(read_pickle(path), path, "a").tolist() == [1, 255]
+
+
+class Runs:
+    """Runs a program where it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return os.system, (f"touch {self.mark}",)
+
+
+def nested(levels: int) -> list:
+    found: list = [1.0] * 10
+    for _ in range(levels):
+        found = [found] * 10
+    return found
+
+
+BOMBS = {
+    "a program": lambda mark: pickle.dumps(Runs(mark)),
+    "a program, text": lambda mark: pickle.dumps(Runs(mark), 0),
+    "in an array": lambda mark: pickle.dumps(np.array([Runs(mark)], object)),
+    "eval": lambda _: b"cbuiltins\neval\n(V1\ntR.",
+    "a length that lies": lambda _: b"\x80\x05\x96" + (10**12).to_bytes(8, "little") + b"xx.",
+    "a million million bytes": lambda _: b"cbuiltins\nbytearray\n(I1000000000000\ntR.",
+    "a large array": lambda _: (
+        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I1000000000000\ntS'b'\ntR."
+    ),
+    "an array without its bytes": lambda _: pickle.dumps(np.zeros(99), 2).replace(b"Kc", b"Kb"),
+    "a flag of objects": lambda _: (
+        b"cnumpy\ndtype\n(S'V8'\nI0\nI1\ntR(I3\nS'|'\nNNNI8\nI1\nI63\ntb."
+    ),
+    "lists without end": lambda _: pickle.dumps(nested(40)),
+    "many numbers": lambda _: pickle.dumps([[[1.0] * 1000] * 1000] * 1000),
+    "no pickle": lambda _: b"\x89PNG",
+    "nothing": lambda _: b"",
+    "cut off": lambda _: pickle.dumps(VALUES)[:-9],
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_bomb_is_one_line_and_runs_nothing(tmp_path: Path, bomb: str) -> None:
+    path, mark = tmp_path / "a.pkl", tmp_path / "ran"
+    path.write_bytes(BOMBS[bomb](mark))
+    begin = time.monotonic()
+    with pytest.raises(ToolkitError) as caught:
+        array_in(read_pickle(path), path, "poses")
+    assert time.monotonic() - begin < 5
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert not mark.exists()
