@@ -282,12 +282,12 @@ class BopConfig(TaskConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ListOptions:
-    """List the methods or the splits that there are."""
+    """List the methods or the splits that there are, or what papers print."""
 
-    what: Literal["methods", "splits"]
+    what: Literal["methods", "splits", "published"]
     """what to list"""
     task: Literal["depth", "pose", "grasp"] = "depth"
-    """whose methods"""
+    """whose methods or figures"""
     json: bool = False
     """print JSON"""
 

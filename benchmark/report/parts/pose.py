@@ -16,6 +16,7 @@ from benchmark.published.load import published_bop
 from benchmark.report.leaderboard import SIGNIFICANT
 from benchmark.report.page import ReportPart, table_files, terminal_text
 from benchmark.report.parts import depth_tables, pose_board, pose_sections
+from benchmark.report.parts.published import TASKS, address_note, other_protocols
 from std_toolkit.html.page import Block, Bullets, Paragraph, Section
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 
@@ -178,7 +179,7 @@ def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
     return ReportPart(
         title="Category-level pose",
         summary=_summary(board),
-        sections=_sections(board),
+        sections=[*_sections(board), *(_published(board) if published else ())],
         answer=answer(board),
         terminal=terminal_text(tables),
         files=table_files((CSV, MARKDOWN, LATEX), tables, board.rows),
@@ -198,6 +199,17 @@ def bop_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
         sections=sections(results, published=published),
         terminal=bop_results.bop_table(results),
     )
+
+
+def _published(board: pose_board.PoseBoard) -> list[Section]:
+    splits = {r.manifest.setup.split for r in board.results if r.data.is_published}
+    blocks = [
+        table
+        for split in sorted(splits)
+        for table in other_protocols(TASKS["pose"], split, pose_board.PROTOCOLS)
+    ]
+    title = "Poses published by other protocols, not comparable with the rows above"
+    return [Section("pose-published", title, blocks)]
 
 
 def _sections(board: pose_board.PoseBoard) -> list[Section]:
@@ -310,12 +322,12 @@ def _table(results: Sequence[BopFigures], *, published: bool) -> Table:
             values = (None, None, *(getattr(row, n) for n in (*_FIGURES, "seconds_per_image")))
             cells = [c.cell(v, missing=NONE) for c, v in zip(columns[2:], values, strict=True)]
             name = Cell(text=row.method, note="published")
-            rows.append(Row([name, Cell(text=f"{row.dataset}, test"), *cells]))
-        sources = sorted(set(printed.loc[printed["dataset"].isin(data), "source"]))
-        if sources:
+            rows.append(Row([name, Cell(text=f"{row.dataset}, test"), *cells], "published"))
+        sources = printed.loc[printed["dataset"].isin(data), "source"]
+        if len(sources):
             notes.append(
-                f"Published, over the whole data set: {'; '.join(sources)}. Whether the images "
-                "here are all of them is not checked."
+                f"{address_note(sources)} Over the whole data set, mAP on the targets of 2019. "
+                "Whether the images here are all of them is not checked."
             )
     return Table(columns=columns, rows=rows, notes=notes, sortable=True)
 
