@@ -43,6 +43,8 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
     Attributes:
         version_of_tool: of the toolkit that made the scene.
         parameters: everything that the scene was generated from.
+        baseline_m: from the left infrared camera to the right one; None with one camera, and in
+            records of earlier versions.
     """
 
     format: Literal["std-sim-scene"] = "std-sim-scene"
@@ -60,6 +62,7 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
     objects: list[ObjectRecord]
     frames: list[ViewRecord]
     parameters: dict[str, Any]
+    baseline_m: float | None = None
 
 
 def scene_record(received: ReceivedFrames) -> SceneRecord:
@@ -93,6 +96,7 @@ def scene_record(received: ReceivedFrames) -> SceneRecord:
             for i, poses in sorted(received.poses.items())
         ],
         parameters=dict(scene.parameters),
+        baseline_m=scene.baseline_m,
     )
 
 
