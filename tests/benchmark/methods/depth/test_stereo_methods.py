@@ -15,7 +15,14 @@ from benchmark.restoring.restorer import Restorer
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import read_png
-from tests.benchmark.data.stereo_set import COLOR, SIZE, T_COLOR_LEFT, plane_depth, plane_pair
+from tests.benchmark.data.stereo_set import (
+    COLOR,
+    LEFT,
+    SIZE,
+    T_COLOR_LEFT,
+    plane_depth,
+    plane_pair,
+)
 
 NAMES = ("stereo-local", "stereo-sgbm", "stereo-dreds")
 
@@ -30,18 +37,16 @@ def view(camera: Camera, pair: InfraredPair | None) -> View:
     ("name", "px", "answers"), [("stereo-local", 0.15, 0.85), ("stereo-sgbm", 0.4, 0.75)]
 )
 def test_depth_lies_where_colour_sees_it(name: str, px: float, answers: float) -> None:
-    """The plane in the colour camera. SGBM prefers whole disparities, and answers nothing in as many
-    columns on the left as it searches."""
+    """The plane in the colour camera: the unaligned map would be off by 6.3 mm. SGBM prefers whole
+    disparities, and answers nothing in as many columns on the left as it searches."""
     (answer,) = make_restorer(name).restore([view(COLOR, plane_pair())])
     true = plane_depth(COLOR, T_COLOR_LEFT)
     found = answer.depth > 0
     assert answer.depth.shape == true.shape and found.mean() > answers
     tolerance = px * true**2 / (222 * 0.055)
     assert (np.abs(answer.depth - true)[found] < tolerance[found]).mean() > 0.97
-    bias = np.median((answer.depth - true)[found])
-    assert abs(bias) < 0.003
-    left = plane_depth(COLOR, SE3.identity())
-    assert abs(np.median(left - true)) > 0.004, "the test would see a missing alignment"
+    unaligned = np.median(plane_depth(LEFT, SE3.identity()) - true)
+    assert abs(np.median((answer.depth - true)[found])) < 0.5 * abs(unaligned)
 
 
 @pytest.mark.slow
