@@ -27,6 +27,9 @@ SPLIT_OF = {
     "STD-CatNovel": "std-catnovel",
     "ClearGrasp real-known": "cleargrasp-real-known",
     "ClearGrasp real-novel": "cleargrasp-real-novel",
+    "HAMMER D435": "hammer-d435-test",
+    "HAMMER L515": "hammer-l515-test",
+    "HAMMER ToF": "hammer-tof-test",
 }
 
 # Our subsets for the printed columns. STD-CatNovel has one column for both, since all its objects
@@ -35,6 +38,7 @@ SUBSETS_OF = {
     "all": ("all",),
     "specular_transparent": ("specular+transparent",),
     "all_and_specular_transparent": ("all", "specular+transparent"),
+    "full frame": ("scene",),
 }
 
 # What a figure is worth: printed by its authors, in a table of a repository or on the page of a

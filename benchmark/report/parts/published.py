@@ -123,7 +123,7 @@ def _table(block: pd.DataFrame) -> Table:
     told = [f"Speed, {first['table']}" if is_speed else first["dataset"]]
     told += [f"protocol {first['protocol']}"] if first["protocol"] else []
     if len(subsets) == 1 and not is_speed:
-        told.append(" and ".join(SUBSETS_OF.get(subsets[0], (subsets[0],))))
+        told.append(_pixels(subsets[0]))
     notes = [NOTE, address_note(block["source"]), *_remarks(block)]
     return Table(
         columns=[*(Column(heading=h, numeric=False) for h in heads), *columns],
@@ -135,9 +135,13 @@ def _table(block: pd.DataFrame) -> Table:
 
 def _column(name: str, subset: str) -> Column:
     found = _COLUMNS.get(name) or Column(heading=name.replace("_", " "), unit="%", factor=100)
-    named = " and ".join(SUBSETS_OF.get(subset, (subset,)))
-    heading = f"{found.heading}, {named}" if subset else found.heading
+    heading = f"{found.heading}, {_pixels(subset)}" if subset else found.heading
     return Column(heading=heading, unit=found.unit, factor=found.factor)
+
+
+def _pixels(subset: str) -> str:
+    """Which pixels are compared, for people."""
+    return subset if " " in subset else " and ".join(SUBSETS_OF.get(subset, (subset,)))
 
 
 def _cell(rows: pd.DataFrame, name: str, subset: str) -> Cell:
