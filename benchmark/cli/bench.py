@@ -33,7 +33,17 @@ def score(config: NetworkConfig | BopConfig) -> int:
 
 
 def list_names(options: ListOptions) -> int:
-    """Print methods or splits with a line about each; returns the exit status."""
+    """Print methods or splits with a line about each, or published figures; returns the exit
+    status."""
+    if options.what == "published":
+        from benchmark.report.parts.published import TASKS, published_records, published_tables
+
+        tasks = TASKS[options.task]
+        if options.json:
+            print_json(published_records(tasks))
+        else:
+            print("\n\n".join(table.terminal() for table in published_tables(tasks)))
+        return 0
     from benchmark.data.splits import get_split, splits
     from benchmark.methods.registry import METHODS
 
@@ -120,7 +130,7 @@ PROGRAM = Program(
         ("pose", "score category-level pose methods", "PoseConfig", "score"),
         ("grasp", "clear tables in simulation", "GraspConfig", "score"),
         ("bop", "score result files of instance-level poses", "BopConfig", "score"),
-        ("list", "list methods or splits", "ListOptions", "list_names"),
+        ("list", "list methods, splits or published figures", "ListOptions", "list_names"),
         (
             "check-data",
             "report what of a split is there, and what is missing",

@@ -24,6 +24,7 @@ import numpy as np
 
 from benchmark.data import loading
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
+from benchmark.data.infrared import InfraredPair, infrared_inputs, read_infrared
 from benchmark.data.splits import FrameKey, SceneFiles
 from benchmark.data.true_poses import KnownBox, model_files, model_handle, model_sides
 from std_toolkit.errors import ToolkitError
@@ -198,6 +199,17 @@ class LayoutScenes:
             )
         except ToolkitError as error:
             raise loading.about(error, key, mask_path) from error
+
+    def infrared(self, index: int) -> InfraredPair:
+        """See `InfraredSource`."""
+        scene, stem = self.index.at(index)
+        number = int(stem) if stem.isdigit() else -1
+        return read_infrared(Path(scene.path), stem, number, self._camera(scene.path).file)
+
+    def infrared_files(self, index: int) -> dict[str, Path]:
+        """See `InfraredSource`."""
+        scene, stem = self.index.at(index)
+        return infrared_inputs(Path(scene.path), stem, self._camera(scene.path).file)
 
     def known_boxes(self, index: int) -> dict[int, KnownBox]:
         """See `BoxSource`; boxes of the CAD models next to the scenes."""

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data.infrared import InfraredPair
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS
@@ -153,6 +154,7 @@ class DepthFrame:
         camera: intrinsics at the size of `depth_true`.
         instances: the objects of `mask`.
         nocs: (k, l, 3) float32 x y z in [0, 1], not flipped, 0 in the background; or None.
+        infrared: the infrared pair, if a method asks for it.
 
     Colour and raw depth may be omitted if a frame is loaded only to score depth restored earlier;
     they are then (0, 0, 3) and (0, 0).
@@ -170,6 +172,7 @@ class DepthFrame:
     camera: Camera
     instances: tuple[Instance, ...] = field(default_factory=tuple)
     nocs: NDArray[np.float32] | None = None
+    infrared: InfraredPair | None = None
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from benchmark.data import cleargrasp, dreds_std, loading, splits, true_poses
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance, Material
+from benchmark.data.infrared import InfraredPair, infrared_inputs, read_infrared
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.frame_maps import check_fresh
 from std_toolkit.geometry.alignment import Similarity
@@ -99,6 +100,16 @@ class ToolkitScenes:
             )
         except ToolkitError as error:
             raise loading.about(error, key, truth.mask) from error
+
+    def infrared(self, index: int) -> InfraredPair:
+        """See `InfraredSource`."""
+        scene, frame = self._frame(index)
+        return read_infrared(scene.root, frame.name, frame.id)
+
+    def infrared_files(self, index: int) -> dict[str, Path]:
+        """See `InfraredSource`."""
+        scene, frame = self._frame(index)
+        return infrared_inputs(scene.root, frame.name)
 
     def known_boxes(self, index: int) -> dict[int, true_poses.KnownBox]:
         """See `BoxSource`; boxes of the scene's meshes, with the rendered poses."""

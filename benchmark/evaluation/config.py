@@ -273,14 +273,21 @@ class GraspConfig(NetworkConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class BopConfig(TaskConfig):
-    """Score result files of instance-level poses on a data set in BOP's layout."""
+    """Score result files of instance-level poses, or a program, on a data set in BOP's layout."""
 
     task = "bop"
 
     data: Path = field(metadata=_option("data"))
     """folder of the data set"""
-    results: tuple[Path, ...] = field(metadata=_option("results"))
+    results: tuple[Path, ...] = field(default=(), metadata=_option("results"))
     """CSV files in BOP's format"""
+    program: str = ""
+    """a program that finds the poses, as NAME=COMMAND; {data} is the data set, {folder} the folder
+    of targets.json, into which it writes results.csv"""
+    detections: Path | None = None
+    """JSON file of BOP's default detections, handed to the program"""
+    timeout_s: Annotated[float, msgspec.Meta(gt=0)] = 86400.0
+    """seconds after which the program is stopped"""
     bop_split: str = "test"
     """folder of the scenes"""
     sensors: tuple[str, ...] = field(default=(), metadata=_option("sensor"))
@@ -293,22 +300,28 @@ class BopConfig(TaskConfig):
     minimum)"""
     vsd_delta_mm: Annotated[float, msgspec.Meta(gt=0)] = 15.0
     """how far behind the measured depth a surface of VSD counts as visible (ITODD: 5)"""
+    multi_view: bool = False
+    """score detection on the views of test_targets_multiview_bop25.json"""
     out: Path | None = field(default=None, metadata={"writes": Writes("parts")})
     """folder of results (the table is only printed)"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_lists(self, "results", "errors")
+        check_lists(self, "errors", *(["results"] if self.results or not self.program else []))
+        if self.detections is not None and not self.program:
+            raise ToolkitError(
+                "belongs to --program", field="detections", value=str(self.detections)
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ListOptions:
-    """List the methods or the splits that there are."""
+    """List the methods or the splits that there are, or what papers print."""
 
-    what: Literal["methods", "splits"]
+    what: Literal["methods", "splits", "published"]
     """what to list"""
     task: Literal["depth", "pose", "grasp"] = "depth"
-    """whose methods"""
+    """whose methods or figures"""
     json: bool = False
     """print JSON"""
 

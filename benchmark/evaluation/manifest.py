@@ -304,6 +304,7 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         errors: errors that are scored.
         symmetry_steps: samples of a turn about a continuous axis; None for the exact minimum.
         vsd_delta_mm: tolerance of visibility in VSD.
+        multi_view: whether images are those of the multi-view targets.
         columns: version of the table; 1 of results without detection.
     """
 
@@ -318,6 +319,7 @@ class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     errors: tuple[str, ...] = ("vsd", "mssd", "mspd")
     symmetry_steps: Count | None = None
     vsd_delta_mm: float = 15.0
+    multi_view: bool = False
     columns: Count = 1
 
 

@@ -14,6 +14,7 @@ from std_toolkit.geometry.camera import Camera
 
 if TYPE_CHECKING:
     from benchmark.data.frame import Instance
+    from benchmark.data.infrared import InfraredPair
     from benchmark.metrics.grasp.grasp import Grasps
     from benchmark.metrics.pose.pose_frames import PosePrediction
 
@@ -28,12 +29,14 @@ class View:
         camera: intrinsics at this size (fx and fy differ where the aspect is squeezed).
         mask: (h, w) bool pixels that a method with `needs_mask` may doubt, such as those of
             transparent objects; None otherwise.
+        infrared: the infrared pair at its own size, for a method with `needs_infrared`.
     """
 
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     camera: Camera
     mask: NDArray[np.bool_] | None = None
+    infrared: InfraredPair | None = None
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,8 @@ class Restorer(Protocol):
         input_size: (width, height) that it works at, or None for any: it is then given the size
             of the ground truth (of the protocol, where that has one).
         needs_mask: whether the view must contain the mask of pixels to doubt.
+
+    A class with `needs_infrared = True` gets the infrared pair, too.
     """
 
     input_size: tuple[int, int] | None

@@ -26,6 +26,9 @@ KEYS: dict[str, tuple[str, ...]] = {
     "lidf": ("zhu2021lidf",),
     "cleargrasp": ("sajjan2020cleargrasp",),
     "dfnet": ("fang2022transcg",),
+    "stereo-local": ("zabih1994census",),
+    "stereo-sgbm": ("hirschmueller2008sgm",),
+    "stereo-dreds": ("dai2022dreds",),
     "compactdr": ("tan2019efficientnet",),
     "two-branch": ("dai2022dreds", "qi2017pointnetpp"),
     # Pose and grasp methods.

@@ -31,10 +31,6 @@ RANKED_BY = "rmse"
 
 SIGNIFICANT = 0.05
 
-# Protocol whose figures are comparable with those of papers without a caution.
-PAPERS_PROTOCOL = "paper"
-
-
 METRICS = tuple(figure.column for figure in FIGURES)
 
 BOARD = shown_columns()
@@ -102,7 +98,8 @@ class Board:
 # PUBLISHED. Where the frames come from. Numbers of frames and scenes included, of frames at which
 # the method failed, and of those of the data set without an answer: rows with any are not ranked.
 # OVER_ALL with INTERVALS, OVER_ANSWERED. p_best: corrected p of the comparison with the best ranked
-# method of its class. Then cost, what the method was trained on, and of published rows the source.
+# method of its class. Then cost, what the method was trained on, and of published
+# rows table, source (key of published_sources.csv) and grade.
 # Last what a user sees of the method, the same in all of its rows.
 COLUMNS = (
     "split", "protocol", "grid", "subset", "method", "preset", "weights", "speed_class", "place",
@@ -110,6 +107,7 @@ COLUMNS = (
     "failed", "unanswered",
     *OVER_ALL, *INTERVALS, *OVER_ANSWERED, "p_best", "frames_per_s", "processor_s",
     "load", "parameters", "gmacs", "peak_memory_mib", "hardware", "training_data", "table",
+    "source", "trust",
     *probes.NAMES,
 )  # fmt: skip
 
@@ -145,8 +143,8 @@ def merge_equal(rows: pd.DataFrame, figures: Sequence[str]) -> pd.DataFrame:
         return "; ".join(dict.fromkeys(str(v) for v in values if isinstance(v, str) and v))
 
     merged = rows.groupby(keys, dropna=False, sort=False, as_index=False)
-    others = [c for c in rows if c not in (*keys, "table", "training_data")]
-    how = {"table": joined, "training_data": joined, **dict.fromkeys(others, "first")}
+    told = ("table", "training_data", "source", "trust")
+    how = {c: joined if c in told else "first" for c in rows if c not in keys}
     return merged.agg(how)
 
 
@@ -255,8 +253,8 @@ def _costs(results: Sequence[RunResult]) -> pd.DataFrame:
 
 
 def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame:
-    """Published rows for the measured subsets, on the main grids of the protocols: only of data
-    sets whose frames are the published ones."""
+    """Published rows for the measured subsets, on the main grids of their own protocols: only of
+    data sets whose frames are the published ones."""
     printed = published_depth()
     speeds = published_speed()
     parts = []
@@ -268,8 +266,8 @@ def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame
         grid, _ = get_protocol(protocol).main
         chosen = (rows["split"] == place) & (rows["protocol"] == protocol) & (rows["grid"] == grid)
         subsets = set(rows.loc[chosen, "subset"])
-        part = printed[(printed["split"] == names[place]) & printed["subset"].isin(subsets)]
-        parts.append(part.assign(split=place, protocol=protocol, grid=grid))
+        part = printed[(printed["split"] == names[place]) & (printed["protocol"] == protocol)]
+        parts.append(part[part["subset"].isin(subsets)].assign(split=place, grid=grid))
     if not parts:
         return pd.DataFrame()
     found = merge_equal(pd.concat(parts, ignore_index=True), OVER_ALL).assign(kind=PUBLISHED)

@@ -143,7 +143,7 @@ def terminal_text(tables: Sequence[Table]) -> str:
     """Format tables for a terminal, without intervals and notes; published rows have a star."""
     texts = [replace(table, notes=()).terminal(notes=False) for table in tables]
     if any(row.kind == "published" for table in tables for row in table.rows):
-        texts.append("* as printed by the paper, by its own evaluation (protocol paper)")
+        texts.append("* as printed, by this protocol; sources: std-bench list published")
     return "\n\n".join(texts)
 
 

@@ -130,6 +130,11 @@ class Restorer:
                 settings=added | dict(options.settings),
             )
         made = make_restorer(method, options)
+        if getattr(made, "needs_infrared", False):
+            raise ToolkitError(
+                "the method needs the infrared pair, which std-restore does not read",
+                field="--method", value=method, hint="std-bench scores it where the data have it",
+            )  # fmt: skip
         if made.needs_mask:
             raise ToolkitError(
                 "the method needs a mask of the pixels to doubt, which a camera does not give",

@@ -50,6 +50,8 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
         parameters: everything that the scene was generated from.
         outputs: digest of the content by path of the file, relative to the set (DREDS layouts) or
             to the scene; empty in records of 0.1.0.
+        baseline_m: from the left infrared camera to the right one; None with one camera, and in
+            records of earlier versions.
     """
 
     format: Literal["std-sim-scene"] = "std-sim-scene"
@@ -84,6 +86,7 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
                 field=f"scene {self.name}",
                 hint="remove the folder of the scene: the same command makes it again",
             )
+    baseline_m: float | None = None
 
 
 def scene_record(received: ReceivedFrames, outputs: Mapping[str, str] | None = None) -> SceneRecord:
@@ -118,6 +121,7 @@ def scene_record(received: ReceivedFrames, outputs: Mapping[str, str] | None = N
         ],
         parameters=dict(scene.parameters),
         outputs=dict(outputs or {}),
+        baseline_m=scene.baseline_m,
     )
 
 

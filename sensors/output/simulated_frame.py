@@ -103,6 +103,7 @@ class SimulatedScene:
         frames: number of frames.
         objects: by increasing instance id, 1..N.
         parameters: everything that the scene was generated from, JSON-serialisable.
+        baseline_m: from the left infrared camera to the right one; None with one camera.
 
     Raises:
         ToolkitError: ids that are not 1..N, one asset with two meshes, or parameters that cannot be
@@ -115,6 +116,7 @@ class SimulatedScene:
     frames: int
     objects: Sequence[SimulatedObject]
     parameters: Mapping[str, Any]
+    baseline_m: float | None = None
 
     def __post_init__(self) -> None:
         check_name(self.name)

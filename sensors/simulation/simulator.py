@@ -127,6 +127,7 @@ class Simulator:
                 maps,
                 self.options,
                 sensor=self._sensor.name,
+                baseline_m=self._sensor.baseline_m or None,
                 poses=poses,
                 parts_cache=self._parts_cache,
                 parameters=parameters,

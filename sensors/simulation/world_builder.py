@@ -85,6 +85,7 @@ def build_world(
     poses: Sequence[SE3] | None = None,
     parts_cache: Path | None = None,
     parameters: dict[str, Any] | None = None,
+    baseline_m: float | None = None,
 ) -> World:
     """Drop the objects of a draw, and add floor, light and cameras.
 
@@ -98,6 +99,7 @@ def build_world(
         poses: T_world_obj of objects already at rest; None drops them.
         parts_cache: folder that caches convex parts across runs.
         parameters: further entries of the scene's record.
+        baseline_m: of the sensor's infrared cameras, for the record.
 
     Raises:
         ToolkitError: the objects do not come to rest, or a floor image cannot be read.
@@ -122,6 +124,7 @@ def build_world(
         name=name,
         seed=draw.seed,
         sensor=sensor,
+        baseline_m=baseline_m,
         frames=options.views,
         objects=[
             SimulatedObject(

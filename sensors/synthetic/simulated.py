@@ -156,6 +156,7 @@ class _Recorder:
         from sensors.simulation.simulated_set import parts_cache
         from sensors.simulation.simulator import Simulator
         from sensors.simulation.world_builder import build_world
+        from sensors.specs import load_sensor
         from sensors.viewpoints.camera_path import TrajectoryOptions, smooth_trajectory
 
         self.out = out
@@ -202,6 +203,7 @@ class _Recorder:
             [environment] * options.frames,
             settings,
             sensor="d415",
+            baseline_m=load_sensor("d415").baseline_m,
             poses=settled.poses,
         )
         way = TrajectoryOptions(frames=options.frames, sweep_deg=options.sweep_deg)

@@ -12,6 +12,7 @@ from std_toolkit.importers.bop_documents import (
     read_bop_scene,
     sensors_of,
 )
+from std_toolkit.importers.bop_packed import packed_split, unpack_data_set
 from std_toolkit.importers.frame_files import picture_size
 from std_toolkit.importers.importer import Recording, SourceFile, SourceFrame
 from std_toolkit.importers.options import ImportRequest
@@ -24,9 +25,12 @@ _DEFAULT_MATERIAL: Material = "diffuse"
 
 
 class BopImporter:
-    """Reads one scene folder (`test/000001`), or a data set with a single scene."""
+    """Reads one scene folder (`test/000001`), or a data set with a single scene; the forms of
+    `bop_packed` are laid out in the workspace before."""
 
     def recognises(self, source: Path) -> bool:
+        if packed_split(source) is not None:
+            return True
         return source.is_dir() and bool(_scene_folders(source))
 
     def read(self, request: ImportRequest) -> Recording:
@@ -35,7 +39,12 @@ class BopImporter:
         Raises:
             ToolkitError: a document breaks the format, or images or models are missing.
         """
-        folder = _scene_folder(request.source)
+        packed = packed_split(request.source)
+        if packed is None:
+            folder = _scene_folder(request.source)
+        else:
+            assert request.workspace is not None, "packed images are written to files"
+            folder = _unpacked(*packed, request.workspace)
         scene = read_bop_scene(folder, _sensor(folder, request.camera))
         found = find_sidecar(folder, "bop")
         sidecar = None if found is None else found[0]
@@ -128,6 +137,21 @@ def _scene_folder(source: Path) -> Path:
         path=source,
         hint=f"give one of them: {shown}" if found else "give a folder such as test/000001",
     )
+
+
+def _unpacked(split: Path, scene: int | None, workspace: Path) -> Path:
+    """The scene folder of a packed split."""
+    top = workspace / "bop"
+    found = sorted(unpack_data_set(split, top, scene=scene).iterdir())
+    if len(found) > 1:
+        numbers = ", ".join(f.name for f in found[:5])
+        raise ToolkitError(
+            "several BOP scenes here",
+            path=split,
+            value=f"{numbers}{' ...' if len(found) > 5 else ''}",
+            hint=f"name one, such as {split / found[0].name}",
+        )
+    return found[0]
 
 
 def _color_path(scene: BopScene, im_id: int) -> Path:

@@ -111,7 +111,7 @@ def _examine_recording(request: ImportRequest, format_name: str | None, report: 
     name = format_name or importer.format_of(request)
     report.add("found", f"format {name}")
     with TemporaryDirectory(prefix="std-doctor-") as workspace:
-        if name == "ros":
+        if importer.needs_workspace(name, request.source):
             request = replace(request, workspace=Path(workspace))
         recording = importer.read_recording(name, request)
         for key, camera in list(recording.cameras.items())[:_MOST_CAMERAS]:

@@ -256,9 +256,11 @@ def import_recording(
     if format_name is None:
         format_name = importer.format_of(request)
     with ExitStack() as stack:
-        if format_name == "ros":
+        if importer.needs_workspace(format_name, request.source):
             workspace = stack.enter_context(atomic.temporary_folder(out))
-            request, link = replace(request, workspace=workspace), "hard"
+            request = replace(request, workspace=workspace)
+            # Files of the workspace may be taken; those of BOP may be links to the user's.
+            link = "hard" if format_name == "ros" else "copy"
         recording = importer.read_recording(format_name, request)
         return write_recording(
             recording,

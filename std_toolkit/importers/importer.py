@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit import errors, plugins
+from std_toolkit.importers.bop_packed import packed_split
 from std_toolkit.importers.depth_survey import UnitOrigin
 from std_toolkit.importers.foreign_files import is_ros_recording
 from std_toolkit.importers.options import ImportRequest
@@ -187,6 +188,16 @@ def _recognises(name: str, source: Path) -> bool:
         raise _of_plugin(name, reader, error) from error
 
 
+def needs_workspace(name: str, source: Path) -> bool:
+    """Whether the images of a recording are not files of their own.
+
+    Args:
+        name: of the importer.
+        source: of the recording.
+    """
+    return name == "ros" or (name == "bop" and packed_split(source) is not None)
+
+
 def format_of(request: ImportRequest) -> str:
     """The importer of a request without --format: "folder" for separate images.
 
@@ -204,7 +215,7 @@ def detect_format(source: Path) -> str:
     Raises:
         ToolkitError: no importer or several recognise it.
     """
-    if not source.exists():
+    if not source.exists() and packed_split(source) is None:
         raise errors.ToolkitError("no such file or folder", path=source)
     found = [name for name in IMPORTERS if _recognises(name, source)]
     if len(found) > 1 and "folder" in found:  # other formats, too, have folders of images

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from benchmark.evaluation.manifest import (
     circumstances,
 )
 from benchmark.evaluation.results import ERROR, INDEX, read_table
+from benchmark.evaluation.tasks.bop_program import run_on
 from benchmark.evaluation.tasks.bop_results import (
     ERRORS,
     FOLDER,
@@ -44,10 +46,12 @@ from benchmark.metrics.bop import (
 from benchmark.metrics.bop.bop_dataset import BopImage
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.bop_documents import count_rough
+from std_toolkit.importers.bop_packed import is_packed, unpack_data_set
 from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
 
 RENDERER = "raycast"
+UNPACKED = "unpacked"  # folder of packed data sets
 NO_VSD = "no VSD: "  # errors of images that have everything else
 _COLUMNS = 2  # version of the table
 
@@ -57,8 +61,9 @@ class BopData:
 
     def __init__(self, run: BopRun) -> None:
         self.dataset: BopDataset = open_bop(
-            run.data, run.split, sensors=run.sensors, symmetry_steps=run.symmetry_steps
-        )
+            run.data, run.split, sensors=run.sensors, symmetry_steps=run.symmetry_steps,
+            multi_view=run.multi_view,
+        )  # fmt: skip
         self.errors = run.errors
         if "vsd" in self.errors and not self.dataset.has_depth:
             self.errors = tuple(e for e in self.errors if e != "vsd")
@@ -90,7 +95,7 @@ class BopRun(FramesRun[BopData, None]):
         data, split: folder of the data set, and of its scenes.
         results: CSV file in BOP's format.
         out: folder of results.
-        sensors, errors, symmetry_steps, vsd_delta_mm: see `BopConfig`.
+        sensors, errors, symmetry_steps, vsd_delta_mm, multi_view: see `BopConfig`.
     """
 
     manifest_name, table_name, unit = BOP_MANIFEST, ERRORS, "images"
@@ -104,20 +109,26 @@ class BopRun(FramesRun[BopData, None]):
     errors: tuple[BopError, ...] = ("vsd", "mssd", "mspd")
     symmetry_steps: int | None = None
     vsd_delta_mm: float = 15.0
+    multi_view: bool = False
     devices: tuple[str, ...] = ("cpu",)
     batch_size: int = 1
 
     @property
     def folder(self) -> Path:
-        return self.out / FOLDER / self.data.resolve().name / self.split / self.results.stem
+        return self.out / FOLDER / self.data.resolve().name / self.place / self.results.stem
+
+    @property
+    def place(self) -> str:
+        """Name of the split, another one with multi-view targets."""
+        return f"{self.split}-multiview" if self.multi_view else self.split
 
     @property
     def title(self) -> str:
-        return f"{self.results.stem} on {self.data.name}, {self.split}"
+        return f"{self.results.stem} on {self.data.name}, {self.place}"
 
     @property
     def data_key(self) -> object:
-        return self.results, self.data, self.split
+        return self.results, self.data, self.place
 
     def open(self) -> BopData:
         return BopData(self)
@@ -159,6 +170,7 @@ class BopRun(FramesRun[BopData, None]):
             errors=data.errors,
             symmetry_steps=self.symmetry_steps,
             vsd_delta_mm=self.vsd_delta_mm,
+            multi_view=self.multi_view,
             columns=_COLUMNS,
         )
         return BopManifest(setup=setup, root=str(self.data), **circumstances())
@@ -210,7 +222,7 @@ class BopRun(FramesRun[BopData, None]):
             table,
             results=self.results.stem,
             data=str(self.data),
-            split=self.split,
+            split=self.place,
             estimates=len(estimates),
             seconds_per_image=seconds_per_image(estimates),
         )
@@ -251,11 +263,32 @@ def _length(*errors: Any) -> int:
 
 
 def plan_runs(config: BopConfig) -> list[BopRun]:
-    """Return the runs, one for each result file."""
+    """Return the runs, one for each result file; packed images are laid out as scenes before."""
     assert config.out is not None
-    names = ("data", "sensors", "errors", "symmetry_steps", "vsd_delta_mm", "out")
+    folder = config.out / FOLDER
+    split = config.data / config.bop_split
+    if is_packed(split):
+        data = folder / UNPACKED / config.data.resolve().name
+        shutil.rmtree(data, ignore_errors=True)
+        unpack_data_set(split, data)
+        config = replace(config, data=data)
+    names = ("data", "sensors", "errors", "symmetry_steps", "vsd_delta_mm", "multi_view", "out")
     options = {name: getattr(config, name) for name in names}
-    return [BopRun(split=config.bop_split, results=path, **options) for path in config.results]
+    results = list(config.results)
+    if config.program:
+        dataset = open_bop(
+            config.data, config.bop_split, sensors=config.sensors, multi_view=config.multi_view
+        )
+        results.append(
+            run_on(
+                dataset,
+                config.program,
+                folder,
+                detections=config.detections,
+                timeout_s=config.timeout_s,
+            )
+        )
+    return [BopRun(split=config.bop_split, results=path, **options) for path in results]
 
 
 TASK = Task(

@@ -25,13 +25,16 @@ from std_toolkit.io.documents import read_document, write_document
 FOLDER, ERRORS = "bop", "errors.parquet"
 RECALLS = ("vsd", "mssd", "mspd")
 FOUND = tuple(f"found_{name}" for name in RECALLS)
+PRECISIONS = ("mssd", "mspd", "mssd_mm")
 # Figures, and what bop_toolkit calls them.
 _FIGURES = {
     **{f"ar_{name}": f"bop19_average_recall_{name}" for name in RECALLS},
     "ar": "bop19_average_recall",
-    **{f"ap_{name}": f"bop24_mAP_{name}" for name in RECALLS[1:]},
+    **{f"ap_{name}": f"bop24_mAP_{name}" for name in PRECISIONS},
     "ap": "bop24_mAP",
 }
+# Those that the challenge of 2025 ranks by.
+_FIGURES_25 = {"ap_mssd": "bop25_mAP", "ap_mssd_mm": "bop25_mAP_mm"}
 SCORES_19, SCORES_24 = "scores_bop19.json", "scores_bop24.json"
 
 
@@ -43,7 +46,7 @@ class BopObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         targets: instances to be found for the recalls.
         ar_vsd, ar_mssd, ar_mspd: average recalls.
         instances: visible instances to be found in detection.
-        ap_mssd, ap_mspd: average precisions of detection.
+        ap_mssd, ap_mspd, ap_mssd_mm: average precisions of detection.
     """
 
     obj_id: int
@@ -54,6 +57,7 @@ class BopObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     instances: Count = 0
     ap_mssd: float | None = None
     ap_mspd: float | None = None
+    ap_mssd_mm: float | None = None
 
     @property
     def ar(self) -> float | None:
@@ -62,7 +66,7 @@ class BopObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def ap(self) -> float | None:
-        """Mean of the precisions; None if one is missing."""
+        """Mean of the precisions of 2024; None if one is missing."""
         return _mean(self.ap_mssd, self.ap_mspd)
 
 
@@ -76,8 +80,8 @@ class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         estimates: number of lines of the file.
         ar: mean of the three average recalls.
         ar_vsd, ar_mssd, ar_mspd: the average recalls.
-        ap: mean of the two mean average precisions of detection.
-        ap_mssd, ap_mspd: the mean average precisions.
+        ap: mean of the mean average precisions of MSSD and MSPD in detection.
+        ap_mssd, ap_mspd, ap_mssd_mm: the mean average precisions; the last within 2 to 20 mm.
         seconds_per_image: run time of the method; None if the file does not give it.
         scores: the same figures under bop_toolkit's names.
         objects: figures of each object.
@@ -95,17 +99,19 @@ class BopResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ap: float | None = None
     ap_mssd: float | None = None
     ap_mspd: float | None = None
+    ap_mssd_mm: float | None = None
     seconds_per_image: float | None
     scores: dict[str, float] = {}
     objects: list[BopObject] = []
 
     def write_scores(self, folder: Path) -> None:
-        """Write scores_bop19.json and scores_bop24.json, as bop_toolkit does.
+        """Write scores_bop19.json and scores_bop24.json, as bop_toolkit does: the latter with the
+        figures of 2025.
 
         Raises:
             ToolkitError: a file cannot be written.
         """
-        for name, prefix in ((SCORES_19, "bop19_"), (SCORES_24, "bop24_")):
+        for name, prefix in ((SCORES_19, "bop19_"), (SCORES_24, ("bop24_", "bop25_"))):
             scores = {k: v for k, v in self.scores.items() if k.startswith(prefix)}
             if any("time" not in key for key in scores):
                 write_document(folder / name, scores)
@@ -156,9 +162,14 @@ def summarise(
         )
         for number, rows in table.groupby("obj_id")
     }
-    ap = (None, None) if detection is None else (_known(detection.mssd), _known(detection.mspd))
-    figures = dict(zip(_FIGURES, (*recalls, _mean(*recalls), *ap, _mean(*ap)), strict=True))
-    scores = {_FIGURES[name]: value for name, value in figures.items() if value is not None}
+    ap = [None if detection is None else _known(getattr(detection, name)) for name in PRECISIONS]
+    figures = dict(zip(_FIGURES, (*recalls, _mean(*recalls), *ap, _mean(*ap[:2])), strict=True))
+    scores = {
+        title: value
+        for titles in (_FIGURES, _FIGURES_25)
+        for name, title in titles.items()
+        if (value := figures[name]) is not None
+    }
     seconds = -1.0 if seconds_per_image is None else seconds_per_image
     return BopResult(
         results=results,
@@ -217,8 +228,8 @@ def detection_rows(table: pd.DataFrame, unit: str) -> list[tuple[int, int, Detec
 def _of_object(detection: DetectionScores | None, number: int) -> dict[str, float | None]:
     if detection is None or number not in detection.objects:
         return {}
-    mssd, mspd = detection.objects[number]
-    return {"ap_mssd": _known(mssd), "ap_mspd": _known(mspd)}
+    found = zip(PRECISIONS, detection.objects[number], strict=True)
+    return {f"ap_{name}": _known(value) for name, value in found}
 
 
 def _known(value: float) -> float | None:
@@ -268,7 +279,8 @@ def bop_intervals(table: pd.DataFrame) -> tuple[dict[str, tuple[float, float]], 
     detections = detection_rows(table, unit)
     if any((d.visible >= 0.1).any() for *_, d in detections):
         low, high = detection_intervals(detections).tolist()
-        found |= {name: (low[i], high[i]) for i, name in enumerate(("ap_mssd", "ap_mspd", "ap"))}
+        names = (*(f"ap_{name}" for name in PRECISIONS), "ap")
+        found |= {name: (low[i], high[i]) for i, name in enumerate(names)}
     return {k: v for k, v in found.items() if not math.isnan(v[0])}, over
 
 
@@ -287,15 +299,17 @@ def read_bop_figures(folders: Iterable[Path]) -> list[BopFigures]:
 
 def bop_table(results: Sequence[BopResult]) -> str:
     """Format the figures in percent for a terminal: of the files, then of their objects."""
-    heads = ("results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "mAP", "s/image")
+    heads = ("results", "data", "targets", "AR", "VSD", "MSSD", "MSPD", "mAP", "AP MSSD", "AP mm",
+             "s/image")  # fmt: skip
     lines = []
     for r in results:
-        shares = [_percent(x) for x in (r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd, r.ap)]
+        shares = [_percent(x) for x in _shown(r)]
         seconds = "" if r.seconds_per_image is None else f"{r.seconds_per_image:.2f}"
         data = getattr(r, "place", "") or f"{Path(r.data).name}, {r.split}"
         lines.append([r.results, data, str(r.targets), *shares, seconds])
     tables = [text_table(heads, lines).terminal()]
-    columns = ("object", "targets", "VSD", "MSSD", "MSPD", "instances", "AP MSSD", "AP MSPD")
+    columns = ("object", "targets", "VSD", "MSSD", "MSPD", "instances", "AP MSSD", "AP MSPD",
+               "AP mm")  # fmt: skip
     for r in results:
         rows = [
             [
@@ -303,13 +317,17 @@ def bop_table(results: Sequence[BopResult]) -> str:
                 str(o.targets),
                 *(_percent(x) for x in (o.ar_vsd, o.ar_mssd, o.ar_mspd)),
                 str(o.instances),
-                *(_percent(x) for x in (o.ap_mssd, o.ap_mspd)),
+                *(_percent(x) for x in (o.ap_mssd, o.ap_mspd, o.ap_mssd_mm)),
             ]
             for o in r.objects
         ]
         if rows:
             tables.append(f"{r.results}:\n{text_table(columns, rows).terminal()}")
     return "\n\n".join(tables)
+
+
+def _shown(r: BopResult) -> tuple[float | None, ...]:
+    return r.ar, r.ar_vsd, r.ar_mssd, r.ar_mspd, r.ap, r.ap_mssd, r.ap_mssd_mm
 
 
 def _percent(share: float | None) -> str:

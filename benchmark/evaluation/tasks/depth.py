@@ -1,6 +1,6 @@
 """The depth restoration task: one method on one split by one protocol."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from benchmark.data import splits
 from benchmark.data.dreds_std import LayoutScenes
 from benchmark.data.frame import DepthFrame
+from benchmark.data.infrared import InfraredSource
 from benchmark.data.predictions import (
     DepthFolder,
     WithSavedDepth,
     check_predictions,
     unit_of,
 )
+from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import DepthConfig, options_by_method
 from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
@@ -115,8 +117,20 @@ class Run(FrameRun[Restorer]):
         chosen = super().chosen(data)
         return chosen[: len(chosen) // (self.released_loader or 1) * (self.released_loader or 1)]
 
+    @property
+    def needs_infrared(self) -> bool:
+        """Whether the method asks for the infrared pair."""
+        return bool(getattr(restorers.get(self.method), "needs_infrared", False))
+
     def check(self, data: splits.DepthSource) -> None:
         self._check_frames(data)
+        if self.needs_infrared:
+            if not isinstance(data, InfraredSource):
+                raise ToolkitError(
+                    "the method needs the infrared pair, which this split does not have",
+                    field="--method", value=f"{self.method} on {self.split}",
+                )  # fmt: skip
+            data.infrared(self.chosen(data)[0])  # one that is missing fails before any work
         if isinstance(data, WithSavedDepth):
             read_submission(data.answers.folder)
             metric = not get_protocol(self.protocol).align
@@ -174,8 +188,18 @@ class Run(FrameRun[Restorer]):
             return None
         return DepthFolder(self.depth_from, self.split, unit=self.depth_unit, keys=data.keys())
 
+    def inputs(self, data: splits.DepthSource) -> Iterator[tuple[int, FrameKey, Inputs]]:
+        for index, key, found in super().inputs(data):
+            more = {}
+            if self.needs_infrared and isinstance(data, InfraredSource):
+                more = data.infrared_files(index)
+            yield index, key, {**found, **more}
+
     def load(self, data: splits.DepthSource, index: int) -> DepthFrame:
-        return data.load(index)
+        frame = data.load(index)
+        if self.needs_infrared and isinstance(data, InfraredSource):
+            return replace(frame, infrared=data.infrared(index))
+        return frame
 
     def rows(
         self,

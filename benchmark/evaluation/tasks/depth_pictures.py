@@ -66,7 +66,7 @@ def make_gallery(run: FrameRun[Restorer], protocol_name: str) -> Gallery:
     frames = gallery_frames(table, protocol.main, common)
     pictures = []
     for rank, index, rmse in frames:
-        frame = source.load(index)
+        frame = run.load(source, index)
         restored = restorer.restore([restorer_view(frame, restorer, protocol.view_size)])[0]
         name = f"{rank}-{index:07d}.jpg"
         trust = None if rank == "common" else restored.confidence

@@ -247,7 +247,7 @@ def _standard_here(run: FrameRun[Restorer]) -> float:
 
 def _speed_here(run: FrameRun[Restorer], protocol: str) -> Speed:
     source, restorer = run.open(), run.make(run.devices[0])
-    frame = source.load(chosen_frames(len(source), 1)[0])
+    frame = run.load(source, chosen_frames(len(source), 1)[0])
     view = restorer_view(frame, restorer, get_protocol(protocol).view_size)
     where = hardware()
     on_gpu = run.devices[0].startswith("cuda")

@@ -3,7 +3,7 @@
 Resized frames contain no ground truth.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -51,9 +51,10 @@ def view_of(
             and not by averaging the pixels that fall together.
     """
     mask = frame.mask_of(Material.TRANSPARENT, Material.SPECULAR) if with_mask else None
-    return sensor_view(
+    view = sensor_view(
         frame.color, frame.depth_raw, frame.camera, size, mask=mask, color_nearest=color_nearest
     )
+    return view if frame.infrared is None else replace(view, infrared=frame.infrared)
 
 
 def sensor_view(

@@ -56,7 +56,7 @@ class CommandConfig:
             otherwise it is the last argument.
         data: folder of a BOP data set with models/; its dataset_info.json, as `std-curate export`
             writes it, tells the category of each obj_id. Model frames must be canonical.
-        classes: class of obj_id 1, 2, ... in place of dataset_info.json.
+        classes: class of each model, in the order of their numbers, in place of dataset_info.json.
         timeout_s: seconds after which the program is stopped.
         fit: accepted as of every pose method, without effect: the program fits the poses.
     """
@@ -135,7 +135,9 @@ class CommandMethod:
             folder = Path(name) / "frames"
             folder.mkdir()
             write_frames(folder, views, self._root / "models")
-            self._run(folder, Path(name))
+            words = [word.replace(_FOLDER, str(folder)) for word in self.words]
+            hint = "--set timeout_s=SECONDS, or a smaller --batch-size"
+            run_program(words, Path(name), self.config.timeout_s, hint=hint)
             path = folder / RESULTS
             if not path.is_file():
                 raise ToolkitError(f"the command wrote no {RESULTS}", value=self.words[0])
@@ -150,57 +152,6 @@ class CommandMethod:
         return [
             self._estimated([e for e in found if e.im_id == number]) for number in range(len(views))
         ]
-
-    def _run(self, folder: Path, logs: Path) -> None:
-        """Run the program in a group of its own, which ends with it; its output goes to files."""
-        words = [word.replace(_FOLDER, str(folder)) for word in self.words]
-        out, errors = logs / "stdout", logs / "stderr"
-        try:
-            with out.open("wb") as to_out, errors.open("wb") as to_errors:
-                process = subprocess.Popen(
-                    words, stdin=subprocess.DEVNULL, stdout=to_out, stderr=to_errors,
-                    start_new_session=True,
-                )  # fmt: skip
-        except FileNotFoundError as error:
-            raise ToolkitError("no such program", field="--method", value=words[0]) from error
-        except (OSError, ValueError) as error:
-            raise ToolkitError(f"cannot start the command: {error}", value=words[0]) from error
-        try:
-            status = self._wait(process, (out, errors))
-        finally:
-            _end_group(process.pid)
-        if status:
-            said = (_tail(errors).strip() or _tail(out).strip())[-_TAIL:]
-            raise ToolkitError(
-                f"the command ended with status {status}: {' '.join(said.split())}",
-                value=words[0],
-            )
-
-    def _wait(self, process: subprocess.Popen[bytes], outputs: Sequence[Path]) -> int:
-        """The status of the program.
-
-        Raises:
-            ToolkitError: it takes too long, or prints without end.
-        """
-        hint = "--set timeout_s=SECONDS, or a smaller --batch-size"
-        if Path(self.words[0]).name in _CONTAINERS:
-            hint += f"; its container may still run: see `{self.words[0]} ps`"
-        ends = time.monotonic() + self.config.timeout_s
-        while True:
-            left = ends - time.monotonic()
-            try:
-                return process.wait(timeout=min(_LOOK_S, max(left, 0)))
-            except subprocess.TimeoutExpired:
-                if left <= _LOOK_S:
-                    raise ToolkitError(
-                        f"the command took longer than {self.config.timeout_s:g} s",
-                        value=self.words[0], hint=hint,
-                    ) from None  # fmt: skip
-            if sum(path.stat().st_size for path in outputs) > _MOST_OUTPUT_BYTES:
-                raise ToolkitError(
-                    f"the command printed more than {_MOST_OUTPUT_BYTES // 2**20} MB",
-                    value=self.words[0], hint="is it in a loop?",
-                )  # fmt: skip
 
     def _estimated(self, found: Sequence[BopEstimate]) -> Estimated:
         kept = [(e, self._boxes[e.obj_id]) for e in found if self._boxes[e.obj_id].class_id]
@@ -219,6 +170,74 @@ class CommandMethod:
             np.array([e.score for e, _ in kept]),
         )
         return Estimated(prediction)
+
+
+def run_program(
+    words: Sequence[str], logs: Path, timeout_s: float, *, hint: str, option: str = "--method"
+) -> None:
+    """Run a program in a group of its own, which ends with it; its output goes to files.
+
+    Args:
+        words: program and arguments.
+        logs: folder for its output.
+        timeout_s: seconds after which it is stopped.
+        hint: how more time is given.
+        option: that names the program.
+
+    Raises:
+        ToolkitError: it cannot be started, fails, takes too long, or prints without end.
+    """
+    out, errors = logs / "stdout", logs / "stderr"
+    try:
+        with out.open("wb") as to_out, errors.open("wb") as to_errors:
+            process = subprocess.Popen(
+                words, stdin=subprocess.DEVNULL, stdout=to_out, stderr=to_errors,
+                start_new_session=True,
+            )  # fmt: skip
+    except FileNotFoundError as error:
+        raise ToolkitError("no such program", field=option, value=words[0]) from error
+    except (OSError, ValueError) as error:
+        raise ToolkitError(f"cannot start the command: {error}", value=words[0]) from error
+    if Path(words[0]).name in _CONTAINERS:
+        hint += f"; its container may still run: see `{words[0]} ps`"
+    try:
+        status = _wait(process, (out, errors), words[0], timeout_s, hint)
+    finally:
+        _end_group(process.pid)
+    if status:
+        said = (_tail(errors).strip() or _tail(out).strip())[-_TAIL:]
+        raise ToolkitError(
+            f"the command ended with status {status}: {' '.join(said.split())}", value=words[0]
+        )
+
+
+def _wait(
+    process: subprocess.Popen[bytes],
+    outputs: Sequence[Path],
+    program: str,
+    timeout_s: float,
+    hint: str,
+) -> int:
+    """The status of the program.
+
+    Raises:
+        ToolkitError: it takes too long, or prints without end.
+    """
+    ends = time.monotonic() + timeout_s
+    while True:
+        left = ends - time.monotonic()
+        try:
+            return process.wait(timeout=min(_LOOK_S, max(left, 0)))
+        except subprocess.TimeoutExpired:
+            if left <= _LOOK_S:
+                raise ToolkitError(
+                    f"the command took longer than {timeout_s:g} s", value=program, hint=hint
+                ) from None
+        if sum(path.stat().st_size for path in outputs) > _MOST_OUTPUT_BYTES:
+            raise ToolkitError(
+                f"the command printed more than {_MOST_OUTPUT_BYTES // 2**20} MB",
+                value=program, hint="is it in a loop?",
+            )  # fmt: skip
 
 
 def _tail(path: Path) -> str:
@@ -282,15 +301,15 @@ def _boxes(root: Path, classes: Sequence[int]) -> dict[int, _Box]:
     paths = sorted((root / "models").glob("obj_*.ply"))
     if not paths:
         raise ToolkitError("no models of a BOP data set here", path=root / "models")
-    named: dict[int, int] = dict(enumerate(classes, start=1))
+    numbers = [int(path.stem.removeprefix("obj_")) for path in paths]  # IPD's begin at 0
+    named: dict[int, int] = dict(zip(numbers, classes, strict=False))
     info = root / "dataset_info.json"
     if not classes and info.is_file():
         rows = read_document(info, _DatasetInfo).objects
         known = {name: number for number, name in enumerate(DREDS_CLASSES)}
         named = {row.obj_id: known.get(row.category, 0) for row in rows}
     found = {}
-    for path in paths:
-        number = int(path.stem.removeprefix("obj_"))
+    for path, number in zip(paths, numbers, strict=True):
         if number not in named or not 0 <= named[number] < len(DREDS_CLASSES):
             raise ToolkitError(
                 "the class of the model is not known",

@@ -1,6 +1,6 @@
 """Metrics of instance-level 6D poses as the BOP Challenge has them: VSD, MSSD, MSPD, AR, mAP."""
 
-from benchmark.metrics.bop.bop_dataset import BopDataset, BopTarget
+from benchmark.metrics.bop.bop_dataset import BopDataset, BopTarget, ViewGroup
 from benchmark.metrics.bop.bop_detection import (
     Detections,
     DetectionScores,
@@ -42,6 +42,7 @@ __all__ = [
     "ObjectErrors",
     "PoseErrors",
     "SeenSurface",
+    "ViewGroup",
     "average_recalls",
     "detection_intervals",
     "detection_scores",

@@ -41,6 +41,24 @@ class ImageTarget(msgspec.Struct, frozen=True, kw_only=True):
     im_id: _ID
 
 
+class ViewGroup(msgspec.Struct, frozen=True, kw_only=True):
+    """An entry of test_targets_multiview_bop25.json: views of a scene to be used together.
+
+    Attributes:
+        scene_id: number of the scene.
+        im_id: images, each with the name of its sensor where the scene has several.
+    """
+
+    scene_id: _ID
+    # Plain numbers: msgspec 0.22 loses its memory over a tuple with a limited number in a union.
+    im_id: Annotated[list[int | tuple[str, int]], msgspec.Meta(min_length=1)]
+
+    def images(self, sensor: str) -> list[int]:
+        """Return the images of a sensor; those without a name are of any."""
+        named = [(sensor, view) if isinstance(view, int) else view for view in self.im_id]
+        return [im_id for name, im_id in named if name == sensor]
+
+
 class _GlobalCamera(msgspec.Struct, frozen=True, kw_only=True):
     width: int
     height: int
@@ -78,6 +96,7 @@ class BopDataset:
         scenes: their documents by number.
         visible: visible shares by scene and image, in the order of scene_gt.json.
         symmetry_steps: samples of a turn about a continuous axis; None for the exact minimum.
+        groups: views that a method may use together; empty without multi-view targets.
     """
 
     root: Path
@@ -88,6 +107,7 @@ class BopDataset:
     scenes: dict[int, bop_documents.BopScene]
     visible: dict[int, dict[int, list[float]]]
     symmetry_steps: int | None = None
+    groups: tuple[ViewGroup, ...] = ()
 
     def truths(self, scene_id: int, im_id: int, obj_id: int) -> tuple[list[SE3], list[float]]:
         """All true poses of an object in an image as filed, and their visible shares."""
@@ -217,7 +237,7 @@ class BopDataset:
             objects: numbers of the objects.
         """
         paths = [self.file(scene_id, name) for name in ("gt", "gt_info", "camera")]
-        paths += sorted(self.root.glob(f"{self.split.partition('_')[0]}_targets_bop*.json"))
+        paths += sorted(self.root.glob(f"{self.split.partition('_')[0]}_targets_*bop*.json"))
         models = model_paths(self.root, objects)
         found = {path.name: path for path in (*paths, *models) if path.is_file()}
         return found | {"depth": self._depth_file(scene_id, im_id)}

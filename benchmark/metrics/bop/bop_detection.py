@@ -1,4 +1,4 @@
-"""Mean average precision of 6D detection, as the BOP Challenge 2024 ranks methods.
+"""Mean average precision of 6D detection, as the BOP Challenges 2024 and 2025 rank methods.
 
 Source: T. Hodan et al., "BOP Challenge 2024", and bop_toolkit's evaluation. All instances in an
 image are to be found, and nobody says how many there are.
@@ -10,6 +10,9 @@ image are to be found, and nobody says how many there are.
 - The precision is interpolated at 101 recalls, as in COCO, and averaged over thresholds and over
   objects that are visible in the images.
 - Estimates of objects without any true pose in the image do not count.
+
+The challenge of 2024 ranks by the mean of MSSD and MSPD, that of 2025 by MSSD alone: within shares
+of the diameter, or within 2 to 20 mm.
 """
 
 from collections import defaultdict
@@ -27,6 +30,10 @@ from std_toolkit.exporters.bop_metadata import TARGET_VISIBLE
 Floats = NDArray[np.float64]
 
 RECALLS = np.linspace(0.0, 1.0, 101)
+
+# Of MSSD, as bop_toolkit has them since 2025.
+MSSD_MM = np.arange(2.0, 21.0, 2.0)
+_MM = 1000.0
 
 _WRONG, _RIGHT, _IGNORED = 0, 1, 2
 
@@ -67,14 +74,16 @@ class Detections:
     width: int
 
     def outcomes(self) -> NDArray[np.int8]:
-        """(2, 10, E) wrong 0, right 1 or ignored 2, by error (MSSD, MSPD) and threshold."""
+        """(3, 10, E) wrong 0, right 1 or ignored 2, by error (MSSD, MSPD, MSSD in mm) and
+        threshold."""
         shape = len(self.scores), len(self.visible)
-        found = np.zeros((2, len(THETAS), shape[0]), dtype=np.int8)
+        found = np.zeros((3, len(THETAS), shape[0]), dtype=np.int8)
         if 0 in shape:
             return found
         scaled = (
             (self.mssd, THETAS * self.diameter_m),
             (self.mspd, MSPD_PIXELS * self.width / MSPD_WIDTH),
+            (None if self.mssd is None else _MM * self.mssd, MSSD_MM),
         )
         for kind, (errors, thresholds) in enumerate(scaled):
             if errors is None:
@@ -91,19 +100,20 @@ class DetectionScores:
     """Mean average precisions in [0, 1]; NaN if the error was not scored.
 
     Attributes:
-        mssd, mspd: by error, over thresholds and objects.
-        objects: both by object.
+        mssd, mspd, mssd_mm: by error, over thresholds and objects; the last over 2 to 20 mm.
+        objects: the three by object.
         instances: true poses that were to be found, by object.
     """
 
     mssd: float
     mspd: float
-    objects: dict[int, tuple[float, float]]
+    mssd_mm: float
+    objects: dict[int, tuple[float, float, float]]
     instances: dict[int, int]
 
     @property
     def map(self) -> float:
-        """Mean of both."""
+        """Mean of MSSD and MSPD: the figure of 2024."""
         return (self.mssd + self.mspd) / 2
 
 
@@ -114,7 +124,7 @@ class _Ranked:
     Attributes:
         image: (N,) of the estimates.
         outcomes: (U, N) the different ones.
-        which: (2, 10) of them, by error and threshold.
+        which: (3, 10) of them, by error and threshold.
         truths: (I,) number of true poses that are to be found, by image.
     """
 
@@ -124,7 +134,7 @@ class _Ranked:
     truths: Floats
 
     def precision(self, weights: Floats) -> Floats | None:
-        """(2,) average precisions, with each image as many times as it weighs; None without truth.
+        """(3,) average precisions, with each image as many times as it weighs; None without truth.
 
         Args:
             weights: (I,) of the images.
@@ -170,13 +180,16 @@ def detection_scores(rows: Iterable[tuple[int, int, Detections]]) -> DetectionSc
     known = {k: v for k, v in found.items() if v is not None}
     if not known:
         raise ToolkitError("there is no true pose to be found")
-    scored = [any(getattr(d, name) is not None for *_, d in rows) for name in ("mssd", "mspd")]
+    scored = [
+        any(getattr(d, name) is not None for *_, d in rows) for name in ("mssd", "mspd", "mssd")
+    ]
     off = np.where(scored, 0.0, np.nan)
     mean = np.mean(list(known.values()), axis=0) + off
     return DetectionScores(
         float(mean[0]),
         float(mean[1]),
-        {k: (float(v[0] + off[0]), float(v[1] + off[1])) for k, v in sorted(known.items())},
+        float(mean[2]),
+        {k: (x[0], x[1], x[2]) for k, v in sorted(known.items()) if (x := (v + off).tolist())},
         {k: int(ranked[k].truths.sum()) for k in sorted(known)},
     )
 
@@ -197,17 +210,18 @@ def detection_intervals(
         level: share of the draws within the interval.
 
     Returns:
-        (2, 3) low and high ends of MSSD, MSPD and their mean; NaN with fewer than two images.
+        (2, 4) low and high ends of MSSD, MSPD, MSSD in mm, and the mean of the first two; NaN with
+        fewer than two images.
 
     >>> good = np.full((1, 1), 0.001)
     >>> one = Detections(np.array([0.9]), good, good, np.array([1.0]), 0.1, 640)
     >>> detection_intervals([(0, 1, one), (1, 1, one)]).tolist()
-    [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
+    [[1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]]
     """
     rows = list(rows)
     images = sorted({image for image, *_ in rows})
     if len(images) < 2:
-        return np.full((2, 3), np.nan)
+        return np.full((2, 4), np.nan)
     ranked = _rank(rows, images)
     rng = np.random.default_rng(seed)
     drawn = []
@@ -217,7 +231,7 @@ def detection_intervals(
         found = [p for r in ranked.values() if (p := r.precision(weights)) is not None]
         if found:
             mean = np.mean(found, axis=0)
-            drawn.append([*mean, mean.mean()])
+            drawn.append([*mean, mean[:2].mean()])
     ends = np.array([(1 - level) / 2, (1 + level) / 2])
     return np.asarray(np.quantile(np.array(drawn), ends, axis=0))
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from benchmark.metrics.bop.bop_dataset import BopDataset, BopTarget, ImageTarget
+from benchmark.metrics.bop.bop_dataset import BopDataset, BopTarget, ImageTarget, ViewGroup
 from std_toolkit.errors import ToolkitError
 from std_toolkit.exporters.bop_metadata import TARGET_VISIBLE
 from std_toolkit.importers import bop_documents
@@ -29,6 +29,7 @@ def open_bop(
     *,
     sensors: Sequence[str] = (),
     symmetry_steps: int | None = None,
+    multi_view: bool = False,
 ) -> BopDataset:
     """Open a split of a data set in BOP's layout.
 
@@ -39,6 +40,7 @@ def open_bop(
             has. By default those that the BOP Challenge scores.
         symmetry_steps: samples of a turn about a continuous axis (315 in published figures); None
             for the exact minimum.
+        multi_view: take the images of test_targets_multiview_bop25.json, for detection alone.
 
     Returns:
         The data set. Targets are those of test_targets_bop19.json, images those of
@@ -62,6 +64,32 @@ def open_bop(
     }
     by_scene = {int(f.name): sensor for f, sensor in chosen.items()}
     visible = {number: _visibility(scene, by_scene[number]) for number, scene in scenes.items()}
+    if multi_view:
+        groups, targets = read_groups(root, split), list[BopTarget]()
+        images = _views(groups, scenes, by_scene, _multi_view_path(root, split))
+    else:
+        groups = []
+        targets, images = _single_views(root, split, scenes, visible)
+    return BopDataset(
+        root,
+        split,
+        by_scene,
+        tuple(targets),
+        tuple(dict.fromkeys(images)),
+        scenes,
+        visible,
+        symmetry_steps,
+        tuple(groups),
+    )
+
+
+def _single_views(
+    root: Path,
+    split: str,
+    scenes: dict[int, bop_documents.BopScene],
+    visible: dict[int, dict[int, list[float]]],
+) -> tuple[list[BopTarget], list[tuple[int, int]]]:
+    """Targets of the recalls, and images of detection."""
     # T-LESS has test_targets_bop19.json for test_primesense/.
     name = split.partition("_")[0]
     path19, path24 = (root / f"{name}_targets_bop{year}.json" for year in (19, 24))
@@ -72,21 +100,55 @@ def open_bop(
     if path24.is_file():
         listed = read_document(path24, list[ImageTarget])
         _check_scenes(listed, scenes, path24)
-        images = [(t.scene_id, t.im_id) for t in listed]
-    else:
-        if not path19.is_file():
-            targets = _all_visible(scenes, visible)
-        images = [(t.scene_id, t.im_id) for t in targets]
-    return BopDataset(
-        root,
-        split,
-        by_scene,
-        tuple(targets),
-        tuple(dict.fromkeys(images)),
-        scenes,
-        visible,
-        symmetry_steps,
-    )
+        return targets, [(t.scene_id, t.im_id) for t in listed]
+    if not path19.is_file():
+        targets = _all_visible(scenes, visible)
+    return targets, [(t.scene_id, t.im_id) for t in targets]
+
+
+def read_groups(root: Path, split: str = "test") -> list[ViewGroup]:
+    """Read the multi-view targets of a data set.
+
+    Args:
+        root: of the data set.
+        split: folder of the scenes.
+
+    Returns:
+        The groups of views in the order of the file.
+
+    Raises:
+        ToolkitError: there are none, or they break the format.
+    """
+    path = _multi_view_path(root, split)
+    if not path.is_file():
+        raise ToolkitError(
+            "no multi-view targets here",
+            path=path,
+            hint="IPD, XYZ-IBD and ITODD-MV have them; without --multi-view single images count",
+        )
+    return read_document(path, list[ViewGroup])
+
+
+def _multi_view_path(root: Path, split: str) -> Path:
+    return root / f"{split.partition('_')[0]}_targets_multiview_bop25.json"
+
+
+def _views(
+    groups: Sequence[ViewGroup],
+    scenes: dict[int, bop_documents.BopScene],
+    sensors: dict[int, str],
+    path: Path,
+) -> list[tuple[int, int]]:
+    """Scenes and images of the groups' views of the scored sensor."""
+    _check_scenes(groups, scenes, path)
+    images = [(g.scene_id, i) for g in groups for i in g.images(sensors[g.scene_id])]
+    for scene, im_id in images:
+        if im_id not in scenes[scene].cameras:
+            raise ToolkitError("no such image", path=path, value=f"scene {scene}, image {im_id}")
+    if not images:
+        hint = "--sensor names another one"
+        raise ToolkitError("no view is of the sensor that is scored", path=path, hint=hint)
+    return images
 
 
 def _scene_folders(folder: Path) -> dict[Path, set[str]]:
@@ -122,7 +184,7 @@ def _choose_sensors(
 
 
 def _check_scenes(
-    targets: Iterable[BopTarget | ImageTarget], scenes: dict[int, Any], path: Path
+    targets: Iterable[BopTarget | ImageTarget | ViewGroup], scenes: dict[int, Any], path: Path
 ) -> None:
     for target in targets:
         if target.scene_id not in scenes:

@@ -16,6 +16,7 @@ from benchmark.report.page import (
     terminal_text,
 )
 from benchmark.report.parts import depth_plots, depth_tables
+from benchmark.report.parts.published import TASKS, other_protocols
 from std_toolkit.html import page
 from std_toolkit.html.page import Gallery as Pictures
 from std_toolkit.io.documents import read_document
@@ -40,7 +41,7 @@ def depth_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     return ReportPart(
         title="Depth restoration",
         summary=_summary(board),
-        sections=board_sections(board),
+        sections=[*board_sections(board), *(_published(board) if published else ())],
         terminal=terminal_text(tables),
         files=table_files((CSV, MARKDOWN, LATEX), tables, board.rows),
     )
@@ -64,6 +65,17 @@ def board_sections(board: leaderboard.Board) -> list[page.Section]:
         page.Section("gallery", "Gallery", gallery(_best_first(board))),
         page.Section("runs", "What ran", [depth_tables.run_table(board.results)]),
     ]
+
+
+def _published(board: leaderboard.Board) -> list[page.Section]:
+    """What papers print of the measured data sets by protocols that were not run."""
+    blocks: list[page.Block] = []
+    for place in dict.fromkeys(r.place for r in board.results if r.data.is_published):
+        split = board.runs(place)[0].manifest.setup.split
+        shown = [protocol for name, protocol in board.boards if name == place]
+        blocks += other_protocols(TASKS["depth"], split, shown)
+    title = "Published by other protocols, not comparable with the rows above"
+    return [page.Section("published", title, blocks)]
 
 
 def _leaderboard(

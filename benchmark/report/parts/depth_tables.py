@@ -14,6 +14,7 @@ from benchmark.evaluation.tasks.depth_speed import CPU_CORES, CPU_S, STANDARD
 from benchmark.metrics.depth.figures import shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report import leaderboard
+from benchmark.report.parts.published import address_note
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 
 RMSE = leaderboard.METRICS[0]
@@ -26,10 +27,6 @@ OBJECTS = {
 }
 DEPTH_PREFIX = "depth:"
 FEW_SCENES = 10
-CAUTION = (
-    "Published rows come from the evaluation of the paper (`--protocol paper`), in which a missing "
-    "pixel costs less: beside other protocols they show the order of magnitude."
-)
 LACKING = (
     "Rows with unanswered frames are not ranked: where the method failed, or saved depth has no "
     "file, every pixel counts as missing."
@@ -76,11 +73,8 @@ def board_tables(
         if ranked < len(measured):
             notes.append(LACKING)
         notes += [ALIGNED] if aligned else []
-        if (
-            protocol != leaderboard.PAPERS_PROTOCOL
-            and (rows["kind"] == leaderboard.PUBLISHED).any()
-        ):
-            notes.append(CAUTION)
+        if (rows["kind"] == leaderboard.PUBLISHED).any():
+            notes.append(address_note(rows["source"].dropna()))
         title = f"{board_title(board, split, protocol)}, {OBJECTS.get(subset, subset)}"
         chosen = rows if all_published else leaderboard.one_of_each(rows)
         tables.append(_method_table(chosen, columns, title=title, notes=notes, counts=True))
@@ -285,10 +279,10 @@ def frames_cell(row: dict[str, object]) -> Cell:
 
 
 def source_of(row: dict[str, object]) -> str:
-    """Return source and training data of a published row: papers print a method several times,
-    with other training data or repeated."""
+    """Return table, grade and training data of a published row: papers print a method several
+    times, with other training data or repeated."""
     training = row["training_data"]
-    table = str(row["table"])
+    table = f"{row['table']} ({row['trust']})"
     return f"{table}; trained on {training}" if isinstance(training, str) and training else table
 
 

@@ -12,9 +12,9 @@ from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp import STRIPS
 from benchmark.evaluation.tasks.grasp_inputs import ORACLE
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
-from benchmark.published.load import published_rows
 from benchmark.report.page import MOST_PICTURED, ReportPart, left_out, table_files
 from benchmark.report.parts.depth_tables import machine
+from benchmark.report.parts.published import TASKS, published_tables
 from std_toolkit.html import page
 from std_toolkit.html.table import Cell, Column, Row, Table
 
@@ -35,8 +35,7 @@ _DEFINITIONS = (
     "Success: attempts that ended with an object held, of all attempts; per table: the mean over "
     "rounds, a round without an attempt counts 0. Completion: objects removed (held after lifting, "
     "or over the table's edge) of those on the table, over all objects, and as the mean over "
-    "tables. In brackets: 95 % intervals, resampling whole rounds. The published completion of "
-    "40 % does not follow from the 19 objects of about 25 printed beside it (76 %)."
+    "tables. In brackets: 95 % intervals, resampling whole rounds."
 )
 
 _PLANNED = (
@@ -57,7 +56,8 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     rounds = max(r.rates.rounds for r in results)
     planners = ", ".join(dict.fromkeys(r.manifest.planner_label for r in results))
     depths = ", ".join(dict.fromkeys(r.manifest.depth_label for r in results))
-    tables = _clearing_tables(results, printed_rows() if published else [])
+    tables = _clearing_tables(results)
+    printed = published_tables(TASKS["grasp"]) if published else []
     return ReportPart(
         title="Grasping: table clearing",
         summary=f"{rounds} simulated tables {_of_what(results)}; "
@@ -67,6 +67,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
             page.Section("clearing-plans", "Planned grasps", [_plan_table(results)]),
             page.Section("clearing-causes", "How attempts ended", [_cause_table(results)]),
             page.Section("clearing-strips", "Attempts in pictures", _pictures(results)),
+            page.Section("clearing-published", "Published, with real robots", printed),
             page.Section("clearing-runs", "What ran: clearing", [_run_table(results)]),
         ],
         answer=_answer(results),
@@ -80,19 +81,6 @@ def _of_what(results: Sequence[grasp_results.GraspResult]) -> str:
     if any(r.manifest.setup.scenes for r in results):
         return "with the objects of labelled scenes"
     return "of 4 to 5 specular or transparent objects"
-
-
-def printed_rows() -> list[list[str]]:
-    """Return the figures of the paper under the same headings; missing figures are a dash."""
-    rows = published_rows()
-    rows = rows[(rows["task"] == "grasping") & (rows["table"].str.contains("table clearing"))]
-    found = []
-    for method, part in rows.groupby("method", sort=False):
-        figure = dict(zip(part["metric"], part["value"], strict=True))
-        grasped = f"{figure['objects_grasped']} / {figure['attempts']}"
-        success, completion = figure["success_rate_pct"], figure["completion_rate_pct"]
-        found.append([str(method), "published", "6", grasped, success, *"---", completion, *"---"])
-    return found
 
 
 def board_of(results: Sequence[grasp_results.GraspResult]) -> pd.DataFrame:
@@ -111,20 +99,15 @@ def board_of(results: Sequence[grasp_results.GraspResult]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _clearing_tables(
-    results: Sequence[grasp_results.GraspResult], printed: Sequence[Sequence[str]]
-) -> list[Table]:
-    notes = ["Published rows were measured with a real robot and other objects."] if printed else []
+def _clearing_tables(results: Sequence[grasp_results.GraspResult]) -> list[Table]:
     tables = []
     for camera, seed in dict.fromkeys(r.name[:2] for r in results):
         mine = [r for r in results if r.name[:2] == (camera, seed)]
         rows = [Row([_figure(cell) for cell in grasp_results.cells(r)]) for r in mine]
-        rows += [Row([_figure(cell) for cell in row], "published") for row in printed]
         rounds = max(r.rates.rounds for r in mine)
         title = f"Table clearing, {camera} camera, seed {seed}: {rounds} tables"
-        tables.append(
-            Table(columns=_columns(grasp_results.HEADINGS), rows=rows, title=title, notes=notes)
-        )
+        columns = _columns(grasp_results.HEADINGS)
+        tables.append(Table(columns=columns, rows=rows, title=title))
     return tables
 
 

@@ -146,7 +146,7 @@ INTERVALS = tuple(f"{c.name}_{end}" for c in FIGURES for end in ("low", "high"))
 COLUMNS = (
     "split", "protocol", "subset", "method", "depth", "fit", "kind", "provenance", "objects",
     "frames", "scenes", "failed", "unanswered", *(c.name for c in FIGURES), *INTERVALS,
-    "training_data", "table",
+    "training_data", "table", "source", "trust",
 )  # fmt: skip
 
 
@@ -297,8 +297,8 @@ def _against_raw(scored: Sequence[pose_results.Scored], samples: int) -> list[Co
 
 
 def _published(board: pd.DataFrame, results: Sequence[pose_results.PoseResult]) -> pd.DataFrame:
-    """Published rows for the measured subsets and every protocol: only of data sets whose frames
-    are the published ones."""
+    """Published rows for the measured subsets, by their own protocol: only of data sets whose
+    frames are the published ones."""
     printed = published_poses()
     parts = []
     names = {r.split: r.manifest.setup.split for r in results if r.data.is_published}
@@ -307,7 +307,7 @@ def _published(board: pd.DataFrame, results: Sequence[pose_results.PoseResult]) 
     ):
         if place in names:
             part = printed[(printed["split"] == names[place]) & (printed["subset"] == subset)]
-            parts.append(part.assign(split=place, protocol=protocol))
+            parts.append(part[part["protocol"] == protocol].assign(split=place))
     if not parts:
         return pd.DataFrame()
     rows = merge_equal(pd.concat(parts, ignore_index=True), [c.name for c in FIGURES])

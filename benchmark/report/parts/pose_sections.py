@@ -9,10 +9,11 @@ import pandas as pd
 from benchmark.evaluation import depth_choice
 from benchmark.evaluation.results import FAILED
 from benchmark.evaluation.tasks import pose_pictures, pose_results
-from benchmark.report.leaderboard import MEASURED, PAPERS_PROTOCOL, PUBLISHED, is_ranked
+from benchmark.report.leaderboard import MEASURED, PUBLISHED, is_ranked
 from benchmark.report.page import MOST_PICTURED, left_out
 from benchmark.report.parts import depth_tables
-from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, TABLES, PoseBoard
+from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, PROTOCOLS, TABLES, PoseBoard
+from benchmark.report.parts.published import address_note
 from std_toolkit.html import page
 from std_toolkit.html.plots import CAMERA, FAINT, OBJECT_COLORS, error_bars, figure
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
@@ -22,10 +23,6 @@ _RAW_COLOR, _TRUE_COLOR = FAINT, "#2b7a4b"
 _ABREAST = 4  # pictures in a row
 _RUN = [Column(heading=h, numeric=False) for h in ("method", "depth", "fit")]
 _COUNTS = [Column(heading=h, digits=0) for h in ("objects", "frames", "scenes")]
-_CAUTION = (
-    "Published rows come from the evaluation of the paper, protocol `paper`, in which what is "
-    "missed costs nothing: beside other protocols they show the order of magnitude."
-)
 
 
 def pose_title(board: PoseBoard, split: str, protocol: str) -> str:
@@ -46,8 +43,8 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
         notes = [f"Bold: best without any ground truth. {depth_tables.interval_note(scenes)}"]
         if is_ranked(rows).sum() < len(measured):
             notes.append(depth_tables.LACKING)
-        if protocol != PAPERS_PROTOCOL and (rows["kind"] == PUBLISHED).any():
-            notes.append(_CAUTION)
+        if (rows["kind"] == PUBLISHED).any():
+            notes.append(address_note(rows["source"].dropna()))
         contests = board.contests(rows)
         best = rows[contests][[c.name for c in FIGURES]].max()
         pairs = zip(rows.to_dict("records"), contests, strict=True)
@@ -84,7 +81,7 @@ def _row(row: dict[str, Any], best: pd.Series, *, contends: bool) -> Row:
 def bar_blocks(board: PoseBoard, split: str, protocol: str) -> list[page.Block]:
     """Return bar plots of every method and fit by depth; none for the paper protocol."""
     blocks: list[page.Block] = []
-    for subset in TABLES if protocol != PAPERS_PROTOCOL else ():
+    for subset in TABLES if protocol == PROTOCOLS[0] else ():
         rows = board.part(split, protocol, subset)
         measured = rows[rows["kind"] == MEASURED]
         for method, fit in measured[["method", "fit"]].drop_duplicates().to_numpy().tolist():

@@ -84,7 +84,8 @@ def test_figures_are_those_of_the_metric(root: Path, results: Path, tmp_path: Pa
         "bop19_average_recall_mssd": scores.mssd, "bop19_average_recall_mspd": scores.mspd,
         "bop19_average_time_per_image": 0.5, "bop24_average_time_per_image": 0.5,
         "bop24_mAP": detected.map, "bop24_mAP_mssd": detected.mssd,
-        "bop24_mAP_mspd": detected.mspd,
+        "bop24_mAP_mspd": detected.mspd, "bop24_mAP_mssd_mm": detected.mssd_mm,
+        "bop25_mAP": detected.mssd, "bop25_mAP_mm": detected.mssd_mm,
     }  # fmt: skip
     assert kept.pop("scores") == names
     objects = {o["obj_id"]: o for o in kept.pop("objects")}
@@ -96,7 +97,7 @@ def test_figures_are_those_of_the_metric(root: Path, results: Path, tmp_path: Pa
         "results": "mine_set-test", "data": str(root), "split": "test", "targets": 3,
         "estimates": 4, "ar": scores.ar, "ar_vsd": scores.vsd, "ar_mssd": scores.mssd,
         "ar_mspd": scores.mspd, "ap": detected.map, "ap_mssd": detected.mssd,
-        "ap_mspd": detected.mspd, "seconds_per_image": 0.5,
+        "ap_mspd": detected.mspd, "ap_mssd_mm": detected.mssd_mm, "seconds_per_image": 0.5,
     }  # fmt: skip
     written = [json.loads((run.folder / f"scores_bop{y}.json").read_text()) for y in (19, 24)]
     assert written[0] | written[1] == names

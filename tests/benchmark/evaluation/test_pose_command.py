@@ -198,7 +198,7 @@ def test_result_files_of_bop(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["ar"] == 1
     assert main(words[:3]) == 2
-    assert "--results: needed" in capsys.readouterr().err
+    assert "--results: needs" in capsys.readouterr().err
 
 
 def test_raw_depth_is_raw_depth_also_as_input(tmp_path: Path) -> None:

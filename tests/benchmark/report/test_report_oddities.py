@@ -26,7 +26,9 @@ JOBS = JobOptions(engine="serial", progress=False)
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
     root = write_split(tmp_path / "data", scenes=2, frames=2)
-    runs = [a_run(root, tmp_path / "r", m, gallery=False) for m in ("raw", "nearest")]
+    runs = [
+        a_run(root, tmp_path / "r", m, gallery=False, protocol="paper") for m in ("raw", "nearest")
+    ]
     with published_as(4, 2):
         run_all(runs, JOBS)
     return tmp_path / "r"
@@ -34,7 +36,7 @@ def results(tmp_path: Path) -> Path:
 
 def test_bars_show_each_figure_once_and_as_it_is(results: Path) -> None:
     board = make_board(read_results([results]), samples=50)
-    rows = board.main_rows(SPLIT, "strict")
+    rows = board.main_rows(SPLIT, "paper")
     assert rows["method"].duplicated().any()  # a paper prints SwinDRNet in several tables
     text = bars(rows, method_colors(board))
     assert text is not None
@@ -62,7 +64,7 @@ def test_a_paper_method_is_kept_from_its_comparison() -> None:
 
 def test_the_radar_stays_readable(results: Path) -> None:
     board = make_board(read_results([results]), published=False, samples=50)
-    one = board.main_rows(SPLIT, "strict").iloc[[0]]
+    one = board.main_rows(SPLIT, "paper").iloc[[0]]
     many = pd.concat([one.assign(method=f"{i}-{'long' * 20}") for i in range(20)])
     colors = dict.fromkeys(many["method"], "#123456")
     text = radar(many, colors)
@@ -80,15 +82,15 @@ def test_what_the_test_can_tell_apart(methods: int, scenes: int) -> None:
 
 
 def test_unfinished_runs_are_told(results: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = results / SPLIT / "raw" / "strict" / TABLE
+    path = results / SPLIT / "raw" / "paper" / TABLE
     table = pd.read_parquet(path)
     table[table["index"] < 3].to_parquet(path)
-    (results / SPLIT / "nearest" / "strict" / TABLE).unlink()
+    (results / SPLIT / "nearest" / "paper" / TABLE).unlink()
     with caplog.at_level(logging.WARNING, logger="std_toolkit"):
         (raw,) = read_results([results])
     assert raw.missing == 1
     assert "1 of 4 frames are missing" in caplog.text
-    assert "nearest/strict: not finished, left out" in caplog.text
+    assert "nearest/paper: not finished, left out" in caplog.text
 
 
 def test_nothing_finished_says_how_to_go_on(
@@ -105,7 +107,7 @@ def test_nothing_finished_says_how_to_go_on(
 def test_a_table_without_a_column_is_named(
     results: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = results / SPLIT / "raw" / "strict" / TABLE
+    path = results / SPLIT / "raw" / "paper" / TABLE
     pd.read_parquet(path).drop(columns="rmse").to_parquet(path)
     assert main([str(results)]) == 1
     assert f"error: {path}: rmse: the table lacks columns" in capsys.readouterr().err

@@ -35,6 +35,7 @@ def test_it_draws_and_sorts(report: Path, page: Page) -> None:
     page.on("request", lambda request: asked.append(request.url))
     page.goto(report.as_uri())
     page.wait_for_selector(".plot .main-svg")
+    assert "Error against depth" in report.read_text()
     assert errors == []
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
 

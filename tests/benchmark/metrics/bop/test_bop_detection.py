@@ -112,7 +112,7 @@ def test_ranks_over_images() -> None:
     found = detection_scores(rows)
     assert found.objects[1][0] == pytest.approx(precision([1, 0, 0, 1], 3))
     # 0.12 of the diameter, 12 pixels: right from 0.15 and from 15 on.
-    assert found.objects[4] == pytest.approx((0.8, 0.8))
+    assert found.objects[4][:2] == pytest.approx((0.8, 0.8))
     assert found.mssd == pytest.approx((found.objects[1][0] + 0.8) / 2)
     assert found.instances == {1: 3, 4: 1}
 
@@ -151,7 +151,7 @@ def test_of_a_data_set(tmp_path: Path) -> None:
     found = [BopEstimate(2, 3, number, 0.5, T) for number, T in TRUTHS[3]]
     scores = score_bop_detection(open_bop(root), found)
     assert scores.instances == {CAN: 2, BRICK: 1}
-    assert scores.objects[BRICK] == (1.0, 1.0)
+    assert scores.objects[BRICK] == (1.0, 1.0, 1.0)
     assert scores.objects[CAN][0] == pytest.approx(51 / 101)  # recalls 0 to 0.5
     stray = BopEstimate(2, 4, BRICK, 0.9, TRUTHS[3][1][1])
     assert score_bop_detection(open_bop(root), [*found, stray]) == scores

@@ -17,6 +17,7 @@ from benchmark.metrics.bop import (
     read_bop_results,
     score_bop,
     score_bop_detection,
+    write_bop_results,
 )
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -168,3 +169,80 @@ def test_depth_and_grey_in_tiff_files(tmp_path: Path, kind: str) -> None:
     assert "not a readable TIFF" in open_bop(root).image(2, 4).why_no_depth
     Image.fromarray(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)).save(torn)
     assert "one channel" in open_bop(root).image(2, 4).why_no_depth
+
+
+def multi_view(root: Path, entries: list[dict[str, object]]) -> Path:
+    (root / "test_targets_multiview_bop25.json").write_text(json.dumps(entries))
+    return root
+
+
+def test_multi_view_targets(tmp_path: Path) -> None:
+    """Views are pairs of sensor and image, or images alone; those of the scored sensor count."""
+    root = tmp_path / "ipd"
+    several_sensors(root, "cam1", "photoneo")
+    views = [["photoneo", 4], ["cam1", 3], ["cam1", 4]]
+    multi_view(root, [{"scene_id": 2, "im_id": views}, {"scene_id": 2, "im_id": [["cam1", 3]]}])
+    dataset = open_bop(root, multi_view=True)
+    assert dataset.images == ((2, 4),) and dataset.targets == () and len(dataset.groups) == 2
+    assert dataset.groups[0].images("cam1") == [3, 4]
+    assert open_bop(root, sensors=["cam1"], multi_view=True).images == ((2, 3), (2, 4))
+    found = score_bop_detection(dataset, ALL)
+    assert found.instances == {CAN: 1} and found.mssd == found.mssd_mm == 1
+    # Single views need no such file, and know no groups.
+    assert open_bop(root).groups == () and len(open_bop(root).images) == 2
+    plain = multi_view(write_bop(tmp_path / "ycbv"), [{"scene_id": 2, "im_id": [3, 4]}])
+    assert open_bop(plain, multi_view=True).images == ((2, 3), (2, 4))
+
+
+@pytest.mark.parametrize(
+    ("entries", "told"),
+    [
+        ([{"scene_id": 2, "im_id": [["cam1", 3]]}], "no view is of the sensor"),
+        ([{"scene_id": 2, "im_id": [9]}], "no such image .*scene 2, image 9"),
+        ([{"scene_id": 7, "im_id": [3]}], "no such scene"),
+        ([{"scene_id": 2, "im_id": []}], "length >= 1"),
+        ([{"scene_id": 2, "im_id": [-1]}], "no such image .*scene 2, image -1"),
+        ([{"scene_id": 2, "im_id": [["cam1"]]}], "im_id"),
+        ([{"scene_id": 2}], "im_id"),
+        (None, "no multi-view targets here"),
+    ],
+)
+def test_wrong_multi_view_targets(
+    tmp_path: Path, entries: list[dict[str, object]] | None, told: str
+) -> None:
+    root = write_bop(tmp_path / "set")
+    if entries is not None:
+        multi_view(root, entries)
+    with pytest.raises(ToolkitError, match=told) as caught:
+        open_bop(root, multi_view=True)
+    assert "test_targets_multiview_bop25.json" in str(caught.value)
+
+
+def test_numbers_from_zero(tmp_path: Path) -> None:
+    """IPD has an object 0; scenes and images may be 0, too."""
+    root = write_bop(tmp_path / "ipd")
+    scene = root / "test" / "000000"
+    (root / "test" / "000002").rename(scene)
+    shift = {"3": "0", "4": "1"}
+    for name in NAMES:
+        path = scene / f"{name}.json"
+        rows = {shift[k]: v for k, v in json.loads(path.read_text()).items()}
+        path.write_text(json.dumps(rows).replace(f'"obj_id": {CAN}', '"obj_id": 0'))
+    for old, new in shift.items():
+        (scene / "depth" / f"00000{old}.png").rename(scene / "depth" / f"00000{new}.png")
+    (root / "models" / f"obj_00000{CAN}.ply").rename(root / "models" / "obj_000000.ply")
+    info = root / "models" / "models_info.json"
+    info.write_text(info.read_text().replace(f'"{CAN}": ', '"0": ', 1))
+    (root / "test_targets_bop19.json").unlink()
+    estimates = [
+        BopEstimate(0, int(shift[str(i)]), 0 if n == CAN else n, 0.5, T)
+        for i, rows in TRUTHS.items()
+        for n, T in rows
+    ]
+    write_bop_results(tmp_path / "mine_ipd-test.csv", estimates)
+    read = read_bop_results(tmp_path / "mine_ipd-test.csv")
+    assert {(e.scene_id, e.im_id, e.obj_id) for e in read} == {(0, 0, 0), (0, 0, 5), (0, 1, 0)}
+    scores = score_bop(open_bop(root), read)
+    assert scores.ar == 1 and scores.targets == 3
+    found = score_bop_detection(open_bop(root), read)
+    assert found.instances == {0: 2, BRICK: 1} and found.map == 1
