@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         CheckDataOptions,
         ListOptions,
         NetworkConfig,
+        VerifyOptions,
     )
     from benchmark.methods.pose.priors.options import PriorsCommand
 
@@ -62,6 +63,24 @@ def check_data(options: CheckDataOptions) -> int:
     return 0 if all(report.is_complete for report in reports) else 1
 
 
+def verify_results(options: VerifyOptions) -> int:
+    """Check results; returns the exit status."""
+    from benchmark.evaluation.verification import VERIFICATION
+    from benchmark.evaluation.verify import summary, verify
+    from std_toolkit.io.documents import write_document
+    from std_toolkit.log import logger
+
+    done = verify(options)
+    out = options.out or options.results[0] / VERIFICATION
+    write_document(out, done)
+    if options.json:
+        print_json(done)
+    else:
+        print("\n".join(summary(done)))
+    logger.info("%s", out)
+    return 0 if all(run.holds for run in done.runs) else 1
+
+
 def write_priors(options: PriorsCommand) -> int:
     """Make shape priors; returns the exit status."""
     from benchmark.methods.pose.priors.make_priors import make_priors
@@ -93,6 +112,12 @@ PROGRAM = Program(
             "report what of a split is there, and what is missing",
             "CheckDataOptions",
             "check_data",
+        ),
+        (
+            "verify",
+            "check figures of results, with the data by making them again",
+            "VerifyOptions",
+            "verify_results",
         ),
         ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),
     ),
