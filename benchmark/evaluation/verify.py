@@ -162,7 +162,7 @@ def _remake(result: Result[Any], options: VerifyOptions) -> tuple[recompute.Rema
         raise recompute.CannotRemake("grasps are not scored again")
     keys = frame_keys(result.table)
     keys = [keys[i] for i in chosen_frames(len(keys), options.sample)]
-    source = _source(data_of(split, roots_of(options.data)), options)
+    source = _source(split, options)
     if isinstance(result, depth_results.RunResult):
         remade = recompute.remake_depth(result, source, keys)
     else:
@@ -170,7 +170,11 @@ def _remake(result: Result[Any], options: VerifyOptions) -> tuple[recompute.Rema
     return remade, pd.DataFrame(keys, columns=[SCENE, FRAME])
 
 
-def _source(root: Path, options: VerifyOptions) -> recompute.Source:
+def _source(data: str, options: VerifyOptions) -> recompute.Source:
+    try:
+        root = data_of(data, roots_of(options.data))
+    except ToolkitError as error:
+        raise recompute.CannotRemake(error.problem, value=data, hint=error.hint) from error
     return recompute.Source(
         root=root,
         predictions=options.prediction_files,
@@ -196,13 +200,13 @@ def _verify_bop(folder: Path, top: Path, options: VerifyOptions) -> VerifiedRun:
     checks = [check("bop.json", printed == again, "its figures follow from the rows")]
     if known.record is not None and known.content is not None:
         right = data_digest(known.content) == known.record.digest
-        checks.append(check("data", right, "digest of data.json and of data.parquet"))
+        checks.append(check("data.json", right, "its digest is that of data.parquet"))
     images = int(table[INDEX].nunique())
     figures: list[CheckedFigure] = []
     grade: Grade = "reported"
     if options.data:
         try:
-            source = _source(data_of(setup.data, roots_of(options.data)), options)
+            source = _source(setup.data, options)
             remade, found = recompute.remake_bop(manifest, source, _sha256)
         except recompute.CannotRemake as why:
             checks.append(check("rows", "not checked", str(why)))

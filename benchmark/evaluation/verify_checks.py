@@ -58,14 +58,16 @@ def check_files(result: Result[Any]) -> Iterator[Check]:
         yield check("names", digest == names_digest(frame_keys(table)), "frames_sha256 of the rows")
     known = result.data
     if known.record is None or known.content is None:
-        yield check("data", "not checked", "the results do not say what data they are of")
+        yield check("data.json", "not checked", "the results do not say what data they are of")
         return
     right = data_digest(known.content) == known.record.digest
-    yield check("data", right, "digest of data.json and of data.parquet")
+    yield check("data.json", right, "its digest is that of data.parquet")
     listed = {(s, f) for s, f in zip(known.content[SCENE], known.content[FRAME], strict=True)}
     lacking = [key for key in frame_keys(table) if tuple(key) not in listed]
     if lacking:
-        yield check("data", False, f"data.parquet lacks {len(lacking)} frames, as {lacking[0]}")
+        yield check(
+            "data.json", False, f"data.parquet lacks {len(lacking)} frames, as {lacking[0]}"
+        )
 
 
 def check_leaderboard(result: Result[Any], top: Path) -> Iterator[Check]:

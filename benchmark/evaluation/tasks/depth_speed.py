@@ -67,6 +67,31 @@ class Speed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     load: float | None = None
 
 
+# Pixels of a frame, seconds and cores by which a method belongs to the class `cpu`.
+CLASS_PIXELS, CLASS_S, CLASS_CORES = 640 * 480, 1.0, 2
+CPU, GPU, NOT_STATED = "cpu", "gpu", "not stated"
+
+
+def speed_class(speed: Speed | None, device: str) -> str:
+    """Return the class in which a method is ranked.
+
+    Args:
+        speed: None if it was not measured.
+        device: that it ran on, `cpu` or `cuda`.
+
+    Returns:
+        `cpu`: at most 1 s of 2 cores for a frame of 640x480, from the processor time; that of
+        larger views is reduced by their pixels, that of smaller ones is taken as it is. `gpu`: runs
+        on one, or is slower. `not stated`: not known.
+    """
+    if device == "cuda":
+        return GPU
+    if speed is None or speed.processor_s is None:
+        return NOT_STATED
+    share = min(1.0, CLASS_PIXELS / max(1, speed.width * speed.height))
+    return CPU if speed.processor_s * share <= CLASS_S * CLASS_CORES else GPU
+
+
 def measure_speed(
     restorer: Restorer, views: Sequence[View], *, hardware: str, repeats: int = 15
 ) -> Speed:

@@ -78,7 +78,7 @@ def test_without_data_only_the_files_are_checked(scored: tuple[Path, Path]) -> N
     _, out = scored
     runs = verify(ask(out)).runs
     assert all(run.holds and run.grade == "reported" and not run.figures for run in runs)
-    assert {c.name for c in runs[0].checks} == {"frames", "names", "data"}
+    assert {c.name for c in runs[0].checks} == {"frames", "names", "data.json"}
     with pytest.raises(ToolkitError, match="needs the data"):
         ask(out, sample=3)
 
