@@ -119,9 +119,10 @@ def _machine(hardware: Mapping[str, str]) -> str:
 
 
 def _depth(folders: Sequence[Path]) -> Iterator[Entry]:
+    known = protocols.names()
     for result in _read(folders, MANIFEST, TABLE, depth_results.read_run):
         setup = result.manifest.setup
-        if setup.protocol not in protocols.names():
+        if setup.protocol not in known:
             raise ToolkitError(
                 "is no protocol of this toolkit", path=result.folder / MANIFEST,
                 field="setup.protocol", value=setup.protocol,
