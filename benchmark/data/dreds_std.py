@@ -240,6 +240,12 @@ class LayoutScenes:
                     found[f"{path.name} of {names[1]}"] = path
         return found
 
+    def infrared(self, index: int) -> tuple[Path, Path] | None:
+        """Return the left and right infrared image of a frame; None if it has none (STD)."""
+        scene, stem = self.index.at(index)
+        left, right = (Path(scene.path) / f"{stem}_ir_{side}.png" for side in ("l", "r"))
+        return (left, right) if left.is_file() and right.is_file() else None
+
     def files(self) -> Iterator[SceneFiles]:
         """See `DepthSource`."""
         needed = needed_files(LAYOUTS[self.layout])

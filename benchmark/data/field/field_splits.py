@@ -12,6 +12,7 @@ from benchmark.data.field.bop_frames import open_bop_frames
 from benchmark.data.field.clearpose import PARTS, open_clearpose
 from benchmark.data.field.hammer import Sensor, open_hammer
 from benchmark.data.field.housecat6d import open_housecat
+from benchmark.data.field.robi import open_robi
 from benchmark.data.field.source import FieldFrames
 from benchmark.data.field.transcg import Part, open_transcg
 from benchmark.data.field.transcg import Sensor as TransCGSensor
@@ -191,7 +192,24 @@ def _housecat(part: str, scenes: int) -> Split:
 
 HOUSECAT = {s.name: s for s in (_housecat("train", 34), _housecat("val", 2), _housecat("test", 5))}
 
-EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | HOUSECAT
+ROBI = _split(
+    lambda root: open_robi("robi-ensenso", root),
+    name="robi-ensenso",
+    about="real active stereo (Ensenso), chrome and steel parts, captured truth (experimental)",
+    layout="ROOT/Zigzag/Scene_4/GT_Depth_Raw/DEPTH_view_0.png, Ensenso/Depth/, Ensenso/Stereo/",
+    page="https://www.trailab.utias.utoronto.ca/robi",
+    card=(
+        "experimental: by the authors' toolkit; not checked on the files, whose folder of true "
+        "depth it calls GT_Depth and GT_Depth_Raw",
+        "truth: captured; all views of scenes 4, 5, 8, 9, some of the others; score with "
+        "--protocol full-frame (no masks here)",
+        "infrared: the pair with the projected pattern is there; poses are not read (their "
+        "unit is not verified)",
+        "licence: not found",
+    ),
+)
+
+EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | HOUSECAT | {ROBI.name: ROBI}
 
 
 def __getattr__(name: str) -> Split:

@@ -87,6 +87,10 @@ class FieldFrames:
         """Read the sensor's depth, metres."""
         return read_field_depth(path, self.unit)
 
+    def color(self, path: Path) -> NDArray[np.uint8]:
+        """Read the colour image, (H, W, 3) RGB."""
+        return read_color(path)
+
     def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:  # noqa: ARG002 - none has them
         """See `DepthSource`."""
         scene, stem = self.index.at(index)
@@ -101,7 +105,7 @@ class FieldFrames:
         found = self.maps(scene, stem, files)
         color, raw = NO_COLOR, NO_DEPTH
         if sensor:
-            color = read_color(files[COLOR])
+            color = self.color(files[COLOR])
             raw = self.raw(scene, stem, files[RAW])
             for what, image in ((COLOR, color), (RAW, raw)):
                 _check_shape(files[what], image, found.camera)

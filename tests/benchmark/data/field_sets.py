@@ -268,3 +268,22 @@ def write_housecat(root: Path, scene: str = "test_scene1", protocol: int = 4) ->
     for box, name in zip(BOXES, ("glass/glass-new_3", "cutlery/cutlery-fork_1"), strict=True):
         box.save(root / f"obj_models_small_size_final/{name}.obj")
     return drawn
+
+
+ROBI_SIZE = (320, 256)
+ROBI_K = [1083.097 / 4, 1083.097 / 4, (379.327 + 0.5) / 4 - 0.5, (509.437 + 0.5) / 4 - 0.5]
+
+
+def write_robi(root: Path, truth: str) -> Drawn:
+    """Three views of the Ensenso, two of them with true depth; numbers of 1/32 mm."""
+    drawn = draw(ROBI_K, ROBI_SIZE)
+    top, unit = root / "Zigzag" / "Scene_1", 0.001 / 32
+    for view in (70, 71, 72):
+        put_depth(top / f"Ensenso/Depth/DEPTH_view_{view}.png", with_holes(drawn), unit)
+        grey = np.full((ROBI_SIZE[1], ROBI_SIZE[0]), view, np.uint8)
+        put(top / f"Ensenso/Stereo/LEFT_view_{view}.bmp", grey)
+        for side in ("LEFT", "RIGHT"):
+            put(top / f"Ensenso/StereoPattern/{side}_view_{view}.bmp", grey)
+        if view > 70:
+            put_depth(top / truth / f"DEPTH_view_{view}.png", drawn.depth, unit)
+    return drawn

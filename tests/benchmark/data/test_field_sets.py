@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from dreds_on_disk import write_dreds_scene, write_std_scene
 
 from benchmark.cli.bench import main
 from benchmark.data.check import check_split
@@ -253,6 +254,36 @@ def test_housecat6d(tmp_path: Path, protocol: int) -> None:
     assert named[1] == ("glass", "glass-new_3", Material.TRANSPARENT)
     assert named[2] == ("cutlery", "cutlery-fork_1", Material.SPECULAR)
     assert all(path.is_file() for path in source.meshes(0).values())
+
+
+@pytest.mark.parametrize("truth", ["GT_Depth", "GT_Depth_Raw"])
+def test_robi(tmp_path: Path, truth: str) -> None:
+    drawn = sets.write_robi(tmp_path / "robi", truth)
+    source = opened("robi-ensenso", tmp_path)
+    assert names(source) == ["Zigzag_Scene_1/view_71", "Zigzag_Scene_1/view_72"]
+    frame = source.load(1)
+    check_raw(frame, drawn, tolerance=2e-5)
+    assert np.abs(frame.depth_true - drawn.depth).max() < 2e-5 and (frame.color == 72).all()
+    depth, index = rendered(frame.camera, [SE3.from_matrix(b.T) for b in BOXES])
+    assert ((index >= 0) == (frame.depth_true < sets.WALL_M - 0.01)).mean() > 0.995
+    assert np.median(np.abs(depth - frame.depth_true)[index >= 0]) < 5e-5
+    pair = source.infrared(1)
+    assert pair is not None and [p.name for p in pair] == ["LEFT_view_72.bmp", "RIGHT_view_72.bmp"]
+    path = tmp_path / "robi/Zigzag/Scene_1/Ensenso/Stereo/LEFT_view_72.bmp"
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(ToolkitError, match="damaged"):
+        source.load(1)
+    path.write_bytes(b"no bitmap")
+    with pytest.raises(ToolkitError, match="is no bitmap"):
+        source.load(1)
+
+
+def test_dreds_has_an_infrared_pair_and_std_has_none(tmp_path: Path) -> None:
+    write_dreds_scene(tmp_path / "DREDS-CatKnown/test/00000", frames=1)
+    write_std_scene(tmp_path / "STD-CatKnown/test_0", frames=1)
+    pair = open_split("dreds-catknown-test", tmp_path).infrared(0)  # type: ignore[attr-defined]
+    assert [path.name for path in pair] == ["0000_ir_l.png", "0000_ir_r.png"]
+    assert open_split("std-catknown", tmp_path).infrared(0) is None  # type: ignore[attr-defined]
 
 
 def test_a_label_that_would_run_a_command_is_not_run(tmp_path: Path) -> None:
