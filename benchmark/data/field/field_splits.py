@@ -47,6 +47,7 @@ def _hammer(sensor: Sensor, title: str, *, test: bool) -> Split:
         about=f"real {title}, {about}, true depth of the whole scene (experimental)",
         layout=f"ROOT/scene12_traj1_1/[polarization/]rgb/, depth_{sensor}/, _gt/000000.png",
         page="https://github.com/Junggy/HAMMER-dataset",
+        download=("https://www.campar.in.tum.de/public_datasets/2022_arxiv_jung/",),
         card=(
             "experimental: layout by third parties that agree; not checked on the authors' files",
             "truth: of the whole scene; score with --protocol full-frame, as users of the set "
