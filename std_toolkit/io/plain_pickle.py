@@ -48,7 +48,7 @@ def read_plain_pickle(path: Path) -> Any:
         raise ToolkitError(f"not a pickle of plain values: {line}", path=path) from error
 
 
-class _Plain(pickle._Unpickler):  # type: ignore[name-defined, misc]
+class _Plain(pickle._Unpickler):
     """Python's own interpreter, which looks names up here and nowhere else."""
 
     def find_class(self, module: str, name: str) -> Callable[..., Any]:
@@ -83,7 +83,7 @@ class _Type:
         order = state[1]
         order = order.decode("ascii") if isinstance(order, bytes) else order
         if order in ("<", ">"):
-            self.dtype = self.dtype.newbyteorder(order)
+            self.dtype = self.dtype.newbyteorder("<" if order == "<" else ">")
 
 
 class _Array:

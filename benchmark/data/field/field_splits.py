@@ -59,13 +59,14 @@ def _hammer(sensor: Sensor, title: str, *, test: bool) -> Split:
     )
 
 
+_SENSORS: dict[Sensor, str] = {"d435": "D435", "l515": "L515", "tof": "ToF camera"}
 HAMMER = {
     split.name: split
     for split in (
         _hammer(sensor, title, test=test)
-        for sensor, title in (("d435", "D435"), ("l515", "L515"), ("tof", "ToF camera"))
+        for sensor, title in _SENSORS.items()
         for test in (True, False)
-    )  # type: ignore[arg-type]
+    )
 }
 
 
@@ -132,7 +133,7 @@ TRANSCG = {
         for part in ("test", "train")
         for prepared in (False, True)
         if not (prepared and part == "train")
-    )  # type: ignore[arg-type]
+    )
 }
 
 

@@ -171,7 +171,7 @@ def board_page(key: BoardKey, board: Sequence[Entry]) -> Page:
         notes.append(Paragraph(
             "Rows without a rank lack an answer to a frame, or got ground truth."
         ))  # fmt: skip
-    intro = [Links([("All boards", f"../{INDEX}")]), Terms(facts), *notes]
+    intro: list[Block] = [Links([("All boards", f"../{INDEX}")]), Terms(facts), *notes]
     grades = Section("grades", "Grades", [Terms(GRADE_TERMS)])
     return _page(key.task.capitalize(), key.title, [*sections, grades], intro)
 
@@ -232,7 +232,7 @@ def method_page(method: str, mine: Sequence[Entry], *, pictures: bool) -> Page:
         blocks: list[Block] = [
             Links([("Board", f"../{board_file(key)}#s-{_anchor(entry.speed_class)}")]),
             _own_figures(entry),
-            Terms(entry.facts | {"run (BLAKE2b-128)": entry.digest}),
+            Terms({**entry.facts, "run (BLAKE2b-128)": entry.digest}),
             *_checked(entry),
             *_speed(entry.speed),
             *(_pictures(entry) if pictures else ()),
