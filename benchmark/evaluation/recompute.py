@@ -213,22 +213,24 @@ def remake_depth(result: RunResult, source: Source, keys: Sequence[FrameKey]) ->
             "released_loader": setup.released_loader or None,
         }
         compared = (*OVER_ALL, *OVER_ANSWERED, "n_pixels", "n_answered")
-        if source.rerun:
-            run: Run = _rerun(result, source, known)
-            grade: Grade = "rerun"
-            of = f"{setup.method}, run again on {source.device}"
-        elif setup.depth_from:
+        if setup.depth_from and setup.method == "raw":
+            # Predictions of another program: it cannot be run here, whatever is asked for.
             folder = source.predictions.get(label, Path(setup.depth_from))
             if not folder.is_dir():
                 raise CannotRemake(
                     "the folder of predictions is not there", path=folder,
                     hint=f"--predictions {label}=DIR",
                 )  # fmt: skip
-            if setup.method != "raw":
-                raise CannotRemake("the method ran on saved depth", value=setup.method,
-                                   hint="--rerun")  # fmt: skip
-            run = _Part(**known, depth_from=folder, depth_unit=setup.depth_unit or None)
-            grade, of = "recomputed", f"predictions in {folder}"
+            run: Run = _Part(**known, depth_from=folder, depth_unit=setup.depth_unit or None)
+            grade: Grade = "recomputed"
+            of = f"predictions in {folder}"
+        elif source.rerun:
+            run = _rerun(result, source, known)
+            # On saved depth of another program only a part was run again.
+            grade = "recomputed" if setup.depth_from else "rerun"
+            of = f"{setup.method}, run again on {source.device}"
+        elif setup.depth_from:
+            raise CannotRemake("the method ran on saved depth", value=setup.method, hint="--rerun")
         elif setup.method == "raw" and not setup.settings:
             run, grade, of = _Part(**known), "rerun", "the sensor's depth"
         else:

@@ -173,6 +173,9 @@ def test_a_folder_of_another_program(tmp_path: Path) -> None:
     record = json.loads((out / VERIFICATION).read_text())["runs"][0]
     assert record["grade"] == "recomputed"
     assert {c["name"]: c["state"] for c in record["checks"]}["predictions"] == "holds"
+    # Its program cannot be run here: a rerun of `raw` on its files is none.
+    assert main(["verify", *again, *moved, "--rerun"]) == 0
+    assert json.loads((out / VERIFICATION).read_text())["runs"][0]["grade"] == "recomputed"
     path = tmp_path / "moved" / path.relative_to(tmp_path / "mine")
     write_png(path, np.full(there.shape, 650, np.uint16))
     assert main(["verify", *again, *moved]) == 1
