@@ -18,6 +18,8 @@ from std_toolkit.html.templates import environment
 MARKUP = "\"'><img src=x onerror=alert(1)></script><script>alert(1)</script>"
 QUOTES = "x' onmouseover='alert(1)` style=`javascript:alert(1)\\u003c{{ 7 * 7 }}"
 PAYLOADS = (MARKUP, QUOTES)
+# Addresses of the page itself, and of pages and files beside it.
+_OWN = r"#[\w-]+|data:,|(\.\./)?[\w-]+(/[\w-]+)*\.(html|csv|parquet|bib)(#[\w-]+)?"
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ class _Reader(HTMLParser):
             wrong = (
                 name.startswith("on")
                 or (name == "src" and not value.startswith("data:image/"))
-                or (name == "href" and not re.fullmatch(r"#[\w-]+|data:,", value))
+                or (name == "href" and not re.fullmatch(_OWN, value))
                 or (name in ("id", "data-plot") and not re.fullmatch(r"[\w-]+", value))
                 or (name == "style" and re.search(r"url|expression|javascript|;.*;", value))
             )

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         ListOptions,
         NetworkConfig,
         SelfTestOptions,
+        VerifyOptions,
     )
     from benchmark.methods.pose.priors.options import PriorsCommand
 
@@ -105,6 +106,24 @@ def self_test(options: SelfTestOptions) -> int:
     return report_failures(failed)
 
 
+def verify_results(options: VerifyOptions) -> int:
+    """Check results; returns the exit status."""
+    from benchmark.evaluation.verification import VERIFICATION
+    from benchmark.evaluation.verify import summary, verify
+    from std_toolkit.io.documents import write_document
+    from std_toolkit.log import logger
+
+    done = verify(options)
+    out = options.out or options.results[0] / VERIFICATION
+    write_document(out, done)
+    if options.json:
+        print_json(done)
+    else:
+        print("\n".join(summary(done)))
+    logger.info("%s", out)
+    return 0 if all(run.holds for run in done.runs) else 1
+
+
 def write_priors(options: PriorsCommand) -> int:
     """Make shape priors; returns the exit status."""
     from benchmark.methods.pose.priors.make_priors import make_priors
@@ -148,6 +167,12 @@ PROGRAM = Program(
             "compare the networks' answers with pinned ones",
             "SelfTestOptions",
             "self_test",
+        ),
+        (
+            "verify",
+            "check figures of results, with the data by making them again",
+            "VerifyOptions",
+            "verify_results",
         ),
         ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),
     ),

@@ -1,4 +1,4 @@
-"""`std-report`: leaderboards and a page of what `std-bench` measured."""
+"""`std-report`: leaderboards, a page and a site of what `std-bench` measured."""
 
 import sys
 from dataclasses import dataclass, field
@@ -35,6 +35,50 @@ class ReportOptions:
     def __post_init__(self) -> None:
         if not self.results:
             raise ToolkitError("needed", field="results")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteOptions:
+    """Build a leaderboard of static pages, which a browser opens from disk or any server.
+
+    Results are ranked together only if task, content of the data, scored frames, protocol, class
+    and series of the toolkit are the same.
+    """
+
+    results: tuple[Path, ...]
+    """folders that std-bench wrote, of one or several people"""
+    out: Path = field(metadata={"option": "out", "writes": Writes("results")})
+    """folder of the site"""
+    verified: tuple[Path, ...] = ()
+    """records of `std-bench verify` that you trust (all figures count as reported)"""
+    title: str = "Benchmark"
+    """heading of the first page"""
+    pictures: bool = True
+    """pictures of a few frames of each run"""
+
+    def __post_init__(self) -> None:
+        if not self.results:
+            raise ToolkitError("needed", field="results")
+
+
+def site(options: SiteOptions) -> int:
+    """Build the site; returns the exit status."""
+    from benchmark.report.site.build import build_site
+
+    made = build_site(
+        options.results, options.out, verified=options.verified, title=options.title,
+        pictures=options.pictures,
+    )  # fmt: skip
+    print(f"{made.index}: {made.runs} results of {made.methods} methods on {made.boards} boards")
+    return 0
+
+
+def _with_command(words: list[str]) -> list[str]:
+    """Name the command where folders follow the program, as before there were two."""
+    first = next((w for w in words if w not in ("--quiet", "--debug")), None)
+    if first is None or first[0] == "-" or first in ("report", "site"):
+        return words
+    return ["report", *words]
 
 
 def report(options: ReportOptions) -> int:
@@ -79,12 +123,16 @@ def _earlier(out: Path, names: list[str]) -> list[str]:
 
 PROGRAM = Program(
     name="std-report",
-    about="Tables and a page of what std-bench measured.",
+    about="Tables, a page and a site of what std-bench measured. `std-report RESULTS` writes\n"
+    "a page.",
     commands=commands(
         "benchmark.cli.report",
         "benchmark.cli.report",
         ("report", "write tables and a page", "ReportOptions", "report"),
+        ("site", "build a leaderboard of static pages", "SiteOptions", "site"),
     ),
+    default="report",
+    rewrite=_with_command,
 )
 main = PROGRAM.main
 

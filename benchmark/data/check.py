@@ -68,6 +68,7 @@ class SplitReport:
             "missing": self.missing,
             "unreadable": self.unreadable,
             "notes": self.notes,
+            "about": self.split.card,
         }
 
     def text(self) -> str:
@@ -78,6 +79,7 @@ class SplitReport:
         else:
             lines += self._found()
         lines += [f"  {note}" for note in self.notes]
+        lines += [f"  about: {line}" for line in self.split.card]
         if not self.is_complete:
             lines.append(f"  expected: {self.split.layout}")
             lines += [f"  page: {self.split.page}"] if self.split.page else []
@@ -133,7 +135,7 @@ def check_split(root: Path | str, name: str) -> SplitReport:
         scenes,
         sizes=sizes,
         unreadable=unreadable,
-        notes=_compare(split, frames, len(scenes)),
+        notes=(*_compare(split, frames, len(scenes)), *_own_notes(source)),
     )
 
 
@@ -158,6 +160,12 @@ def _try_frames(
         ):
             sizes.setdefault(what, set()).add((image.shape[1], image.shape[0]))
     return {k: tuple(sorted(v)) for k, v in sizes.items()}, tuple(unreadable[:_NAMED])
+
+
+def _own_notes(source: DepthSource) -> tuple[str, ...]:
+    """What the counts of the data set itself say of the frames."""
+    notes = getattr(source, "notes", None)
+    return () if notes is None else tuple(notes())
 
 
 def _compare(split: Split, frames: int, scenes: int) -> tuple[str, ...]:

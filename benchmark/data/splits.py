@@ -165,6 +165,8 @@ class Split:
         page: URL of the page of the data set.
         download: URLs of the files.
         published: frame counts of papers and pages, which may differ.
+        card: what is known of the data: what true depth is, which pixels its authors score, the
+            licence, and what was not verified.
     """
 
     name: str
@@ -174,9 +176,25 @@ class Split:
     page: str = ""
     download: tuple[str, ...] = ()
     published: tuple[Published, ...] = ()
+    card: tuple[str, ...] = ()
 
 
 _MODULE = "benchmark.data.known_splits"
+
+_FIELD_MODULE = "benchmark.data.field.field_splits"
+
+# Splits of the field's sets; `field_splits` has each as an attribute.
+_FIELD = (
+    *(f"hammer-{sensor}-test" for sensor in ("d435", "l515", "tof")),
+    *(f"hammer-{sensor}-train" for sensor in ("d435", "l515", "tof")),
+    "clearpose-train", "clearpose-test", "clearpose-heavy-occlusion", "clearpose-new-background",
+    "clearpose-opaque-distractor", "clearpose-translucent-cover", "clearpose-non-planar",
+    "clearpose-filled-liquid",
+    *(f"transcg-{sensor}-{part}" for sensor in ("d435", "l515")
+      for part in ("test", "test-2022-10", "train")),
+    "xyzibd-val-realsense", "xyzibd-val-xyz", "xyzibd-val-photoneo", "ipd-val-photoneo",
+    "housecat6d-train", "housecat6d-val", "housecat6d-test", "robi-ensenso",
+)  # fmt: skip
 
 splits: Registry[Split] = Registry(
     "std_toolkit.splits",
@@ -192,6 +210,7 @@ splits: Registry[Split] = Registry(
         "cleargrasp-synthetic": f"{_MODULE}:CLEARGRASP_SYNTHETIC",
         "scenes": f"{_MODULE}:SCENES",
         "std-export": f"{_MODULE}:STD_EXPORT",
+        **{name: f"{_FIELD_MODULE}:{name.upper().replace('-', '_')}" for name in _FIELD},
     },
 )
 

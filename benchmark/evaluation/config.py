@@ -375,6 +375,61 @@ class InferListOptions:
         check_options(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class VerifyOptions(TaskConfig):
+    """Check results: by their own files, and with the data by making their rows again."""
+
+    task = "verify"
+
+    results: tuple[Path, ...]
+    """folders that std-bench wrote"""
+    data: tuple[str, ...] = field(default=(), metadata=_option("data"))
+    """[SPLIT=]ROOT, folder of the data (the files of the results alone are checked)"""
+    sample: Count | None = None
+    """make the rows of N frames of each run again, evenly spaced (all)"""
+    predictions: tuple[str, ...] = ()
+    """NAME=PATH of predictions that are not where they were: folder of a method, CSV file of BOP"""
+    rerun: bool = False
+    """run the depth methods again instead of reading their predictions"""
+    weights: tuple[str, ...] = ()
+    """METHOD=FILE, weights that the results state the digest of"""
+    trust: tuple[str, ...] = ()
+    """methods outside of the toolkit that --rerun may run, as the results name them"""
+    device: str = "cpu"
+    """torch device of --rerun"""
+    out: Path | None = field(default=None, metadata={"writes": Writes("file")})
+    """record for `std-report site --verified` (verification.json in the first folder)"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lists(self, "results")
+        for name in ("sample", "rerun", "predictions"):
+            if getattr(self, name) and not self.data:
+                raise ToolkitError("needs the data", field=name, hint="--data ROOT")
+
+    @property
+    def prediction_files(self) -> dict[str, Path]:
+        """Folders and files of predictions by name."""
+        return _named_paths(self.predictions, "predictions")
+
+    @property
+    def weight_files(self) -> dict[str, Path]:
+        """Files of weights by label or method."""
+        return _named_paths(self.weights, "weights")
+
+
+def _named_paths(texts: Sequence[str], option: str) -> dict[str, Path]:
+    found = {}
+    for text in texts:
+        name, equals, path = text.partition("=")
+        if not (name and equals and path):
+            raise ToolkitError("expected NAME=PATH", field=option, value=text)
+        if not Path(path).exists():
+            raise ToolkitError("no such file or folder", path=path, field=option)
+        found[name] = Path(path)
+    return found
+
+
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:
     """Return the options of each method, by its name.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import msgspec
 import pandas as pd
 
-from benchmark.data.identity import groups_of
+from benchmark.data.identity import data_digest, groups_of
 from benchmark.data.provenance import Provenance
 from benchmark.data.splits import get_split, splits
 
@@ -76,8 +76,8 @@ def names_of_data(names: Sequence[str], data: Sequence[KnownData]) -> list[str]:
         if len(set(groups)) == 1:
             continue
         for i, group in zip(mine, groups, strict=True):
-            first = data[mine[groups.index(group)]].record
-            found[i] = f"{name}@{'unknown' if first is None else first.digest[:6]}"
+            first = data[mine[groups.index(group)]].content
+            found[i] = f"{name}@{'unknown' if first is None else data_digest(first)[:6]}"
     return found
 
 

@@ -49,9 +49,38 @@ KEYS: dict[str, tuple[str, ...]] = {
     "cleargrasp-real-known": ("sajjan2020cleargrasp",),
     "cleargrasp-real-novel": ("sajjan2020cleargrasp",),
     "cleargrasp-synthetic": ("sajjan2020cleargrasp",),
+    **{
+        f"hammer-{s}-{p}": ("jung2023hammer",)
+        for s in ("d435", "l515", "tof")
+        for p in ("test", "train")
+    },
+    **{
+        f"clearpose-{part}": ("chen2022clearpose",)
+        for part in (
+            "train",
+            "test",
+            "heavy-occlusion",
+            "new-background",
+            "opaque-distractor",
+            "translucent-cover",
+            "non-planar",
+            "filled-liquid",
+        )
+    },
+    **{
+        f"transcg-{s}-{p}": ("fang2022transcg",)
+        for s in ("d435", "l515")
+        for p in ("test", "test-2022-10", "train")
+    },
+    **{f"xyzibd-val-{s}": ("xyzibd2025",) for s in ("realsense", "xyz", "photoneo")},
+    "ipd-val-photoneo": ("kalra2024ipd",),
+    **{f"housecat6d-{part}": ("jung2024housecat6d",) for part in ("train", "val", "test")},
+    "robi-ensenso": ("yang2021robi",),
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),
+    "transcg-2022-10": ("fang2022transcg",),
+    "clearpose": ("chen2022clearpose",),
     "bop": ("hodan2018bop",),
 }
 # Fields of a run's setup that name what was used.

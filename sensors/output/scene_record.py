@@ -86,6 +86,7 @@ class SceneRecord(model.Document, frozen=True, kw_only=True):
                 field=f"scene {self.name}",
                 hint="remove the folder of the scene: the same command makes it again",
             )
+
     baseline_m: float | None = None
 
 

@@ -78,6 +78,14 @@ class Terms:
 
 
 @dataclass(frozen=True)
+class Links:
+    """Other pages and files of the same site: text and address relative to this page."""
+
+    items: Sequence[tuple[str, str]]
+    kind: ClassVar[str] = "links"
+
+
+@dataclass(frozen=True)
 class LegendEntry:
     """A colour or a gradient (CSS), its width in pixels, and its meaning."""
 

@@ -32,6 +32,7 @@ class Cell:
         tag: the text is a coloured word of this kind (HTML).
         color: CSS colour of a sample before the text (HTML).
         shade: CSS colour of the background (HTML).
+        href: page that the text leads to, relative to this one (HTML).
     """
 
     text: str
@@ -41,6 +42,7 @@ class Cell:
     tag: str = ""
     color: str = ""
     shade: str = ""
+    href: str = ""
 
     @property
     def plain(self) -> str:
@@ -134,6 +136,8 @@ class Table:
         notes: sentences under the heading.
         sortable: whether a click on a heading sorts the HTML table, measured and published rows
             separately.
+        filters: titles of the columns by whose texts rows of the HTML table can be chosen, beside a
+            field that finds any text; None for neither.
 
     Raises:
         ValueError: a row does not have one cell for each column.
@@ -144,6 +148,7 @@ class Table:
     title: str = ""
     notes: Sequence[str] = ()
     sortable: bool = False
+    filters: Sequence[str] | None = None
     kind: ClassVar[str] = "table"
 
     def __post_init__(self) -> None:

@@ -24,6 +24,20 @@ def slug(name: str) -> str:
     return safe if safe == name else f"{safe}-{zlib.crc32(name.encode()):08x}"
 
 
+def relative(href: str) -> str:
+    """Check that an address leads to a file of the same site.
+
+    Raises:
+        ValueError: it leads elsewhere.
+
+    >>> relative("methods/nearest-1a2b3c4d.html#s-board")
+    'methods/nearest-1a2b3c4d.html#s-board'
+    """
+    if not re.fullmatch(r"(\.\./)?[\w-]+(/[\w-]+)*\.(html|csv|parquet|bib)(#[\w-]+)?", href, re.A):
+        raise ValueError(f"no page of this site: {href}")
+    return href
+
+
 @lru_cache(maxsize=1)
 def environment() -> Environment:
     """Templates of the folder `templates`, with the filters that they use."""
@@ -46,5 +60,6 @@ def environment() -> Environment:
     )
     found.filters["words"] = words
     found.filters["slug"] = slug
+    found.filters["relative"] = relative
     found.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     return found

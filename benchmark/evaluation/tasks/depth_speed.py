@@ -45,6 +45,7 @@ STANDARD = (640, 480)
 
 SpeedClass = Literal["cpu", "gpu", "not stated"]
 SPEED_CLASSES: tuple[SpeedClass, ...] = get_args(SpeedClass)
+NOT_STATED: SpeedClass = "not stated"
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 

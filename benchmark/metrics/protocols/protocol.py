@@ -42,6 +42,9 @@ protocols: Registry[Protocol] = Registry(
         "transcg": "benchmark.metrics.protocols.protocol:TRANSCG",
         "aligned-frame": "benchmark.metrics.protocols.protocol:ALIGNED_FRAME",
         "aligned-clip": "benchmark.metrics.protocols.protocol:ALIGNED_CLIP",
+        "transcg-2022-10": "benchmark.metrics.protocols.protocol:TRANSCG_2022_10",
+        "clearpose": "benchmark.metrics.protocols.protocol:CLEARPOSE",
+        "full-frame": "benchmark.metrics.protocols.protocol:FULL_FRAME",
     },
 )
 
@@ -55,14 +58,14 @@ class Subset:
         materials: of the objects that belong to it.
         edges: only the pixels beside a step of depth or the outline of an object.
         category: only objects of this category, where given.
-        background: also the pixels of no object.
+        scene: every pixel with ground truth, off the objects too; the others are then ignored.
     """
 
     name: str
     materials: frozenset[Material] = ALL
     edges: bool = False
     category: str | None = None
-    background: bool = False
+    scene: bool = False
 
     def has(self, instance: Instance) -> bool:
         """Whether the pixels of an object belong to it (those at edges, where it is of edges)."""
@@ -225,7 +228,7 @@ ALIGNED_FRAME = Protocol(
     about="after one scale and shift a frame, by least squares; truth 0.3 to 1.5 m away; cm",
     grids=(Grid("h126w224", (224, 126)),),
     subsets=(
-        Subset("everything", background=True),
+        Subset("scene", scene=True),
         Subset("all"),
         Subset("specular+transparent", HARD),
     ),
@@ -239,6 +242,38 @@ ALIGNED_CLIP = replace(
     name="aligned-clip",
     about="after one scale and shift a scene, by least squares; truth 0.3 to 1.5 m away; cm",
     align="clip",
+)
+
+
+# As the loader of October 2022: true depth below a tenth of its unit of 1 m is none. The frames of
+# the splits `transcg-...-2022-10` are prepared as it prepares them.
+TRANSCG_2022_10 = replace(
+    TRANSCG,
+    name="transcg-2022-10",
+    about="320x240, transparent objects beyond 0.1 m, as the release of October 2022 of TransCG",
+    depth_range=(0.1, float("inf")),
+)
+
+# Which pixels the paper scored is not known; the fork of its first author has the first two.
+CLEARPOSE = Protocol(
+    name="clearpose",
+    about="native size, 0.3 to 3 m away: every pixel, objects, and transparent objects alone",
+    grids=(Grid("native", None),),
+    subsets=(
+        Subset("all"),
+        Subset("transparent", frozenset({Material.TRANSPARENT})),
+        Subset("scene", scene=True),
+    ),
+    missing=Missing.COUNTED,
+    depth_range=(0.3, 3.0),
+)
+
+FULL_FRAME = Protocol(
+    name="full-frame",
+    about="native size, every pixel with ground truth, objects or not, as users of HAMMER score",
+    grids=(Grid("native", None),),
+    subsets=(Subset("scene", scene=True), Subset("all"), Subset("specular+transparent", HARD)),
+    missing=Missing.COUNTED,
 )
 
 

@@ -278,16 +278,18 @@ class _Cells:
         for instance in instances:
             if instance.mask_id != BACKGROUND:
                 of_id.setdefault(instance.mask_id, []).append(instance)
-        around = np.array([s.background for s in subsets])
-        self.count = len(of_id) + int(around.any())
+        # The background is a cell of its own where a subset wants every pixel.
+        every = [s.scene for s in subsets]
+        self.count = len(of_id) + any(every)
         belongs = np.zeros((len(subsets), self.count), np.bool_)
         self.of_id = np.full(_IDS, _NO_CELL, np.uint8)
-        if around.any():  # the last cell: what is no object
-            belongs[:, -1], self.of_id[:] = around, self.count - 1
         for i, (mask_id, objects) in enumerate(of_id.items()):
-            belongs[:, i] = [any(s.has(o) for o in objects) for s in subsets]
+            belongs[:, i] = [s.scene or any(s.has(o) for o in objects) for s in subsets]
             if belongs[:, i].any():
                 self.of_id[mask_id] = i
+        if any(every):
+            belongs[:, -1] = every
+            self.of_id[BACKGROUND] = self.count - 1
         edges = np.array([s.edges for s in subsets])
         self.members = np.concatenate([belongs & ~edges[:, None], belongs], axis=1)
 

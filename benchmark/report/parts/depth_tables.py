@@ -21,7 +21,7 @@ RMSE = leaderboard.METRICS[0]
 # Subsets with a separate table.
 MAIN_SUBSETS = ("all", "specular+transparent")
 OBJECTS = {
-    "everything": "all pixels with truth",
+    "scene": "all pixels with truth",
     "all": "all objects",
     "specular+transparent": "specular and transparent objects",
 }

@@ -60,6 +60,50 @@
     });
   });
 
+  // Rows of a table by the texts of some columns, and by any text.
+  document.querySelectorAll('table[data-filters]').forEach(function (table) {
+    var heads = Array.from(table.querySelectorAll('th'));
+    var chosen = heads.filter(function (h) { return h.hasAttribute('data-filter'); });
+    var rows = Array.from(table.querySelectorAll('tbody tr'));
+    var bar = document.createElement('div'), left = document.createElement('span');
+    bar.className = 'filters';
+    function text(row, column) {
+      var first = row.cells[column].firstChild;
+      return first ? first.textContent.trim() : '';
+    }
+    function add(name, control) {
+      var label = document.createElement('label');
+      label.append(name, control);
+      bar.append(label);
+      control.addEventListener('input', apply);
+    }
+    var find = document.createElement('input');
+    find.type = 'search';
+    var tests = chosen.map(function (head) {
+      var column = heads.indexOf(head), select = document.createElement('select');
+      var values = new Set(rows.map(function (row) { return text(row, column); }));
+      select.append(new Option('all', ''));
+      Array.from(values).sort().forEach(function (v) {
+        select.append(new Option(v || '-', v || '-'));
+      });
+      add(head.firstChild.textContent, select);
+      return function (row) { return !select.value || (text(row, column) || '-') === select.value; };
+    });
+    tests.push(function (row) {
+      return row.textContent.toLowerCase().includes(find.value.trim().toLowerCase());
+    });
+    function apply() {
+      rows.forEach(function (row) {
+        row.hidden = !tests.every(function (test) { return test(row); });
+      });
+      var shown = rows.filter(function (row) { return !row.hidden; }).length;
+      left.textContent = shown < rows.length ? shown + ' of ' + rows.length + ' rows' : '';
+    }
+    add('find', find);
+    bar.append(left);
+    table.parentNode.before(bar);
+  });
+
   // Click a picture: enlarge it. The key o hides the outlines.
   var dialog = document.getElementById('large');
   function fit(frame, w, h) {

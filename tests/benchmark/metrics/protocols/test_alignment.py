@@ -45,11 +45,11 @@ def test_any_scale_and_shift_is_taken_back(scale: float, shift: float, seed: int
     there = frame.depth_true > 0
     guess = np.where(there, (frame.depth_true + shift) / scale, 0).astype(np.float32)
     rows = {r.subset: r.errors for r in score_frame(guess, frame, FRAME)}
-    assert set(rows) == {"everything", "all", "specular+transparent"}
+    assert set(rows) == {"scene", "all", "specular+transparent"}
     for errors in rows.values():
         assert errors.rmse < 1e-4 and errors.d105 == 1
         assert errors.coverage == 1
-    assert rows["everything"].n_pixels > 5 * rows["all"].n_pixels > 0
+    assert rows["scene"].n_pixels > 5 * rows["all"].n_pixels > 0
 
 
 def test_the_line_is_numpys_and_the_range_is_kept() -> None:
@@ -106,7 +106,7 @@ def relative(root: Path, folder: Path, factors: dict[str, list[float]]) -> Path:
 def rmse(out: Path, protocol: str) -> pd.Series:
     table = pd.read_parquet(out / SPLIT / "mine" / protocol / TABLE)
     assert table["harm_opaque"].isna().all()
-    return table[table["subset"] == "everything"].groupby("scene")["rmse"].max()
+    return table[table["subset"] == "scene"].groupby("scene")["rmse"].max()
 
 
 def test_clips_have_one_scale(
@@ -154,7 +154,7 @@ def test_a_missing_frame_costs_and_probes_are_refused(
     words += ["--engine", "serial", "--no-speed", "--out", str(tmp_path / "out")]
     assert main([*words, "--method", f"mine={folder}"]) == 1
     table = pd.read_parquet(tmp_path / "out" / SPLIT / "mine" / "aligned-clip" / TABLE)
-    table = table[table["subset"] == "everything"]
+    table = table[table["subset"] == "scene"]
     assert sorted(table["coverage"].round(3)) == [0, 1, 1, 1, 1, 1]
     capsys.readouterr()
     assert main([*words, "--method", "raw", "--probe", "holes"]) == 1

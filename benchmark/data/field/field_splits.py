@@ -1,0 +1,231 @@
+"""The splits of the field's sets: where they are, how many frames they have, and what is known.
+
+Experimental splits are read from layouts that only third parties describe, or that no file of the
+authors was checked against.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmark.data.field.bop_frames import open_bop_frames
+from benchmark.data.field.clearpose import PARTS, open_clearpose
+from benchmark.data.field.hammer import Sensor, open_hammer
+from benchmark.data.field.housecat6d import open_housecat
+from benchmark.data.field.robi import open_robi
+from benchmark.data.field.source import FieldFrames
+from benchmark.data.field.transcg import Part, open_transcg
+from benchmark.data.field.transcg import Sensor as TransCGSensor
+from benchmark.data.frame import Material
+from benchmark.data.splits import DepthSource, Published, Split, where_to_get
+from std_toolkit.errors import ToolkitError
+
+
+def _split(opened: Callable[[Path], FieldFrames], **known: Any) -> Split:
+    """A split whose folder must have a frame of it; `known` are the fields of `Split`."""
+
+    def open_root(root: Path) -> DepthSource:
+        found = opened(root)
+        if not len(found):
+            hint = where_to_get(split)
+            raise ToolkitError(
+                "nothing of this split is here", path=root, value=split.name, hint=hint
+            )
+        return found
+
+    split = Split(open=open_root, **known)
+    return split
+
+
+def _hammer(sensor: Sensor, title: str, *, test: bool) -> Split:
+    part = "test" if test else "train"
+    name = f"hammer-{sensor}-{part}"
+    about = "nine test sequences" if test else "scenes 2 to 11"
+    return _split(
+        lambda root: open_hammer(name, root, sensor, test=test),
+        name=name,
+        about=f"real {title}, {about}, true depth of the whole scene (experimental)",
+        layout=f"ROOT/scene12_traj1_1/[polarization/]rgb/, depth_{sensor}/, _gt/000000.png",
+        page="https://github.com/Junggy/HAMMER-dataset",
+        download=("https://www.campar.in.tum.de/public_datasets/2022_arxiv_jung/",),
+        card=(
+            "experimental: layout by third parties that agree; not checked on the authors' files",
+            "truth: of the whole scene; score with --protocol full-frame, as users of the set "
+            "do (no masks here)",
+            "depth was warped into the polarisation camera: shadows of the warp are holes that "
+            "no sensor made; the camera's own colour is not published",
+            "licence: not stated",
+        ),
+    )
+
+
+_SENSORS: dict[Sensor, str] = {"d435": "D435", "l515": "L515", "tof": "ToF camera"}
+HAMMER = {
+    split.name: split
+    for split in (
+        _hammer(sensor, title, test=test)
+        for sensor, title in _SENSORS.items()
+        for test in (True, False)
+    )
+}
+
+
+def _clearpose(part: str) -> Split:
+    name = f"clearpose-{part}"
+    conditions = {"train": "training scenes", "test": "all test scenes"}
+    about = conditions.get(part, part.replace("-", " "))
+    return _split(
+        lambda root: open_clearpose(name, root, part),
+        name=name,
+        about=f"real L515, 63 transparent objects, {about}",
+        layout="ROOT/set1/scene1/000000-color.png, metadata.mat",
+        page="https://github.com/opipari/ClearPose",
+        published=(Published("README", 354_481, 51, of_more="all sets"),),
+        card=(
+            "truth: rendered objects pasted over the sensor's depth; off the objects it is the "
+            "sensor, and only object pixels may be scored",
+            "scored by the authors: not known; --protocol clearpose has every valid pixel, "
+            "objects (label above 0) and transparent ones (1 to 63)",
+            "the paper's test frames (2,000 a condition, random) are not published: say which "
+            "frames are yours (--limit N)",
+            "licence: MIT (README)",
+        ),
+    )  # fmt: skip
+
+
+CLEARPOSE = {split.name: split for split in map(_clearpose, PARTS)}
+
+
+def _transcg(sensor: TransCGSensor, part: Part, *, prepared: bool = False) -> Split:
+    name = f"transcg-{sensor}-{part}{'-2022-10' if prepared else ''}"
+    samples = 34_191 if part == "train" else 23_524
+    how = ", frames as the release of October 2022 prepares them" if prepared else ""
+    protocol = "transcg-2022-10" if prepared else "transcg"
+    return _split(
+        lambda root: open_transcg(name, root, sensor, part, prepared=prepared),
+        name=name,
+        about=f"real {sensor.upper()}, transparent objects, {part} scenes{how}",
+        layout="ROOT/metadata.json, ROOT/scene1/0/rgb1.png",
+        page="https://graspnet.net/transcg",
+        published=(Published("metadata.json", samples, of_more=f"{part}, both cameras"),),
+        card=(
+            "truth: rendered objects pasted over the sensor's depth; off the objects it is the "
+            "sensor, and only object pixels may be scored",
+            f"scored by the authors: mask and valid truth at 320x240; --protocol {protocol}",
+            *(
+                (
+                    "not verified: whether holes count in the mean and deviation by which raw "
+                    "and true depth are cut; here they do",
+                )
+                if prepared
+                else ()
+            ),
+            "licence: CC BY-NC-SA 4.0",
+        ),
+    )
+
+
+TRANSCG = {
+    split.name: split
+    for split in (
+        _transcg(sensor, part, prepared=prepared)
+        for sensor in ("d435", "l515")
+        for part in ("test", "train")
+        for prepared in (False, True)
+        if not (prepared and part == "train")
+    )
+}
+
+
+def _bop(data: str, sensor: str, about: str, page: str, licence: str, material: Material) -> Split:
+    name = f"{data}-val-{sensor}"
+    return _split(
+        lambda root: open_bop_frames(name, root, data, sensor, material),
+        name=name,
+        about=about,
+        layout=f"ROOT/{data}/val/000000/depth_{sensor}/, scene_gt_{sensor}.json, "
+        f"ROOT/{data}/models/",
+        page=page,
+        card=(
+            "truth: rendered from the models at the labels, on visible masks; objects only; "
+            "its error is that of the labels",
+            "scored by the BOP Challenge: poses; depth restoration here on the visible masks",
+            "split archives (.z01) need 7z",
+            f"licence: {licence}",
+        ),
+    )
+
+
+_XYZ = "https://huggingface.co/datasets/bop-benchmark/xyzibd"
+_IPD = "https://huggingface.co/datasets/bop-benchmark/ipd"
+BOP = {
+    split.name: split
+    for split in (
+        *(
+            _bop("xyzibd", s, f"real {s}, reflective metal parts", _XYZ, "CC BY-NC-SA 4.0",
+                 Material.SPECULAR)
+            for s in ("realsense", "xyz", "photoneo")
+        ),
+        _bop("ipd", "photoneo", "real photoneo, industrial parts (materials are not filed)", _IPD,
+             "CC BY 4.0 (BOP edition)", Material.RAW),
+    )
+}  # fmt: skip
+
+
+def _housecat(part: str, scenes: int) -> Split:
+    name = f"housecat6d-{part}"
+    return _split(
+        lambda root: open_housecat(name, root, part),
+        name=name,
+        about=f"real, polarisation camera, glass and cutlery among 10 classes, {part}",
+        layout="ROOT/test_scene1/rgb/, depth/, instance/, labels/, "
+        "ROOT/obj_models_small_size_final/",
+        page="https://github.com/Junggy/HouseCat6D",
+        card=(
+            f"the set has {scenes} {part} scenes",
+            "truth: rendered from the meshes at the labels; objects only; occluders that are "
+            "no objects are not known",
+            "scored by the authors: poses (3D IoU, degrees and cm) with true masks",
+            "materials: glass as transparent, cutlery as specular; not filed by the authors",
+            "licence: CC BY 4.0 (README)",
+        ),
+    )
+
+
+HOUSECAT = {s.name: s for s in (_housecat("train", 34), _housecat("val", 2), _housecat("test", 5))}
+
+ROBI = _split(
+    lambda root: open_robi("robi-ensenso", root),
+    name="robi-ensenso",
+    about="real active stereo (Ensenso), chrome and steel parts, captured truth (experimental)",
+    layout="ROOT/Zigzag/Scene_4/GT_Depth_Raw/DEPTH_view_0.png, Ensenso/Depth/, Ensenso/Stereo/",
+    page="https://www.trailab.utias.utoronto.ca/robi",
+    card=(
+        "experimental: by the authors' toolkit; not checked on the files, whose folder of true "
+        "depth it calls GT_Depth and GT_Depth_Raw",
+        "truth: captured; all views of scenes 4, 5, 8, 9, some of the others; score with "
+        "--protocol full-frame (no masks here)",
+        "infrared: the pair with the projected pattern is there; poses are not read (their "
+        "unit is not verified)",
+        "licence: not found",
+    ),
+)
+
+EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | HOUSECAT | {ROBI.name: ROBI}
+
+
+def __getattr__(name: str) -> Split:
+    """Each split as an attribute, for the registry: `HAMMER_D435_TEST` of `hammer-d435-test`."""
+    for key, split in EVERY.items():
+        if name == attribute_of(key):
+            return split
+    raise AttributeError(name)
+
+
+def attribute_of(name: str) -> str:
+    """Return the attribute of a split.
+
+    >>> attribute_of("hammer-d435-test")
+    'HAMMER_D435_TEST'
+    """
+    return name.upper().replace("-", "_")

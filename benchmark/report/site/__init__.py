@@ -1,0 +1,1 @@
+"""Static leaderboards of the results of many people."""
