@@ -96,7 +96,8 @@ def self_test(options: SelfTestOptions) -> int:
         }  # fmt: skip
         rows.append(row)
         if not done.is_good:
-            problem = done.error or f"differs by {done.apart:.2g}, more than {tests.TOLERANCE:g}"
+            most = tests.TOLERANCE[known.by]
+            problem = done.error or f"differs by {done.apart:.2g}, more than {most:g}"
             failed[f"{known.case}, seed {known.seed}"] = problem
         if not options.json:
             shown = f"{known.case:22} seed {known.seed}  of the {known.by:8}"

@@ -38,7 +38,7 @@ def test_shipped_networks_answer_as_pinned(capsys: pytest.CaptureFixture[str]) -
     assert main(["self-test", "--networks", "shipped", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert len(rows) == len(SEEDS) * len(SHIPPED)
-    assert all(row["good"] and row["apart"] < 1e-4 for row in rows)
+    assert all(row["good"] and row["apart"] < 5e-4 for row in rows)
 
 
 @pytest.mark.slow
@@ -61,7 +61,7 @@ def test_a_change_is_told(
     half = known.outputs["half_sides"]
     off = Known(
         shape=half.shape, low=half.low, high=half.high, mean=half.mean,
-        values=[half.values[0] + 2e-4, *half.values[1:]],
+        values=[half.values[0] + 2e-3, *half.values[1:]],
     )  # fmt: skip
     from msgspec.structs import replace
 
@@ -70,11 +70,12 @@ def test_a_change_is_told(
         replace(known, outputs={**known.outputs, "half_sides": replace(half, shape=[4])}),
         replace(known, outputs={"logits": known.outputs["logits"]}),
     ]
+    monkeypatch.setattr(tests, "pinned", lambda _: wrong[:1])
+    assert main(["self-test"]) == 1
+    assert "differs by 0.002, more than 0.0005" in capsys.readouterr().err
     monkeypatch.setattr(tests, "pinned", lambda _: wrong)
     assert main(["self-test"]) == 1
-    told = capsys.readouterr()
-    assert told.out.count("FAILED") == 3
-    assert "differs by 0.0002, more than 0.0001" in told.err
+    assert capsys.readouterr().out.count("FAILED") == 3
     monkeypatch.setitem(SHIPPED, "crop-nocs compact", lambda _: 1 / 0)
     assert main(["self-test"]) == 1
     assert "ZeroDivisionError" in capsys.readouterr().err
