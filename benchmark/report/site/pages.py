@@ -9,7 +9,7 @@ from pathlib import Path
 from benchmark.evaluation.depth_panels import PANELS
 from benchmark.evaluation.results import FAILED
 from benchmark.evaluation.tasks import depth_pictures, pose_pictures
-from benchmark.evaluation.tasks.depth_speed import CPU, GPU, NOT_STATED, Speed
+from benchmark.evaluation.tasks.depth_speed import NOT_STATED, Speed
 from benchmark.evaluation.verification import GRADES
 from benchmark.published.citations import KEYS, entries
 from benchmark.report.leaderboard import COSTS
@@ -35,8 +35,8 @@ from std_toolkit.io.documents import read_document
 
 INDEX, BOARDS, METHODS = "index.html", "boards", "methods"
 _CLASSES = {
-    CPU: "At most 1 s of 2 cores for a frame of 640x480.",
-    GPU: "On a GPU, or slower than 1 s on 2 cores.",
+    "cpu": "At most 1 s of 2 cores for a frame of 640x480.",
+    "gpu": "On a GPU, or slower than 1 s on 2 cores.",
     NOT_STATED: "The speed is not known.",
 }
 GRADE_TERMS = {
