@@ -66,7 +66,7 @@ class Optimization:
 
     def make(self, network: nn.Module) -> torch.optim.Optimizer:
         """The optimizer of the network's parameters."""
-        parameters: Iterable[nn.Parameter] | list[dict[str, Any]] = network.parameters()
+        parameters: Iterable[Any] = network.parameters()
         if self.encoder_rate != 1:
             rate = self.encoder_rate * self.learning_rate
             encoder = {id(p) for p in network.get_submodule("encoder").parameters()}

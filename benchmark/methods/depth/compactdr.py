@@ -105,6 +105,8 @@ class Looked(NamedTuple):
 class CompactDRNetwork(nn.Module):
     """`network(color, depth)` to `Prediction`; `network.look(color, depth)` to all that it says."""
 
+    too_small: Tensor
+
     def __init__(self, config: CompactDRConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or CompactDRConfig()

@@ -320,8 +320,7 @@ def _table(results: Sequence[BopFigures], *, published: bool) -> Table:
         data = {Path(r.data).resolve().name for r in results if _is_test(r.split)}
         printed = published_bop()
         for row in printed[printed["dataset"].isin(data)].itertuples():
-            names = (*_FIGURES, "seconds_per_image")
-            values = (None, None, *(getattr(row, n, None) for n in names))
+            values = (None, None, *(getattr(row, n, None) for n in names[2:]))
             cells = [c.cell(v, missing=NONE) for c, v in zip(columns[2:], values, strict=True)]
             name = Cell(text=row.method, note="published")
             rows.append(Row([name, Cell(text=f"{row.dataset}, test"), *cells], "published"))
