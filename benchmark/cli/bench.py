@@ -9,12 +9,11 @@ from benchmark.cli import commands, report_failures
 from std_toolkit.cli.command import Program, print_json
 
 if TYPE_CHECKING:
-    from benchmark.evaluation.config import (
-        BopConfig,
+    from benchmark.evaluation.config import BopConfig, NetworkConfig
+    from benchmark.evaluation.query_options import (
         CheckDataOptions,
         InferListOptions,
         ListOptions,
-        NetworkConfig,
         SelfTestOptions,
         VerifyOptions,
     )
@@ -137,6 +136,7 @@ def write_priors(options: PriorsCommand) -> int:
     return 0
 
 
+_QUERY = "benchmark.evaluation.query_options:"
 _PRIORS = "benchmark.methods.pose.priors.options:PriorsCommand"
 PROGRAM = Program(
     name="std-bench",
@@ -150,29 +150,29 @@ PROGRAM = Program(
         ("pose", "score category-level pose methods", "PoseConfig", "score"),
         ("grasp", "clear tables in simulation", "GraspConfig", "score"),
         ("bop", "score result files of instance-level poses", "BopConfig", "score"),
-        ("list", "list methods, splits or published figures", "ListOptions", "list_names"),
+        ("list", "list methods, splits or published figures", _QUERY + "ListOptions", "list_names"),
         (
             "check-data",
             "report what of a split is there, and what is missing",
-            "CheckDataOptions",
+            _QUERY + "CheckDataOptions",
             "check_data",
         ),
         (
             "infer-list",
             "write the list of frames for a program of another environment",
-            "InferListOptions",
+            _QUERY + "InferListOptions",
             "infer_list",
         ),
         (
             "self-test",
             "compare the networks' answers with pinned ones",
-            "SelfTestOptions",
+            _QUERY + "SelfTestOptions",
             "self_test",
         ),
         (
             "verify",
             "check figures of results, with the data by making them again",
-            "VerifyOptions",
+            _QUERY + "VerifyOptions",
             "verify_results",
         ),
         ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),

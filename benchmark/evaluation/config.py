@@ -34,8 +34,6 @@ FITS: tuple[Fit, ...] = get_args(Fit)
 # In the place of a depth and of a fit, where poses lie in files.
 AS_FILED = "as-filed"
 
-FRAME_LIST = "frames.csv"
-
 
 def _option(name: str) -> dict[str, str]:
     return {"option": name}
@@ -312,122 +310,6 @@ class BopConfig(TaskConfig):
             raise ToolkitError(
                 "belongs to --program", field="detections", value=str(self.detections)
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class ListOptions:
-    """List the methods or the splits that there are, or what papers print."""
-
-    what: Literal["methods", "splits", "published"]
-    """what to list"""
-    task: Literal["depth", "pose", "grasp"] = "depth"
-    """whose methods or figures"""
-    json: bool = False
-    """print JSON"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckDataOptions:
-    """Report which files of a split are there and which are missing."""
-
-    root: Path
-    """folder above the data sets, or of the split"""
-    splits: tuple[str, ...] = field(metadata={"option": "split"})
-    """names of `std-bench list splits`"""
-    json: bool = False
-    """print JSON"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SelfTestOptions:
-    """Compare the answers of the networks with pinned ones, on the CPU.
-
-    Those of seed 0 of released networks are of the authors' programs, under weights by a rule;
-    others are the toolkit's own. All take 2 GB of memory, and a minute on two free cores.
-    """
-
-    networks: Literal["all", "shipped", "released"] = "all"
-    """shipped: those whose weights come with the toolkit; released: those of the authors' form"""
-    json: bool = False
-    """print JSON"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class InferListOptions:
-    """Write the list of frames that a program of another environment is to restore.
-
-    Writes frames.csv (scene, frame, color, raw, raw_unit_m, width, height, fx, fy, cx, cy, out) and
-    raw/ into the folder. The program writes depth to `out`, metres as .npy, or another suffix.
-    Then: std-bench depth --method NAME=OUT/predictions.
-    """
-
-    data: Path = field(metadata={"option": "data"})
-    """folder above the data sets, or of the split"""
-    split: str = field(metadata={"option": "split"})
-    """name of `std-bench list splits`"""
-    out: Path = field(metadata={"option": "out", "writes": Writes("results", (FRAME_LIST,))})
-    """folder of the list"""
-    limit: Annotated[int, msgspec.Meta(ge=1)] | None = None
-    """list only N frames, evenly spaced, as the same option of `std-bench depth`"""
-    jobs: JobOptions = field(default_factory=JobOptions)
-
-    def __post_init__(self) -> None:
-        check_options(self)
-
-
-@dataclass(frozen=True, kw_only=True)
-class VerifyOptions(TaskConfig):
-    """Check results: by their own files, and with the data by making their rows again."""
-
-    task = "verify"
-
-    results: tuple[Path, ...]
-    """folders that std-bench wrote"""
-    data: tuple[str, ...] = field(default=(), metadata=_option("data"))
-    """[SPLIT=]ROOT, folder of the data (the files of the results alone are checked)"""
-    sample: Count | None = None
-    """make the rows of N frames of each run again, evenly spaced (all)"""
-    predictions: tuple[str, ...] = ()
-    """NAME=PATH of predictions that are not where they were: folder of a method, CSV file of BOP"""
-    rerun: bool = False
-    """run the depth methods again instead of reading their predictions"""
-    weights: tuple[str, ...] = ()
-    """METHOD=FILE, weights that the results state the digest of"""
-    trust: tuple[str, ...] = ()
-    """methods outside of the toolkit that --rerun may run, as the results name them"""
-    device: str = "cpu"
-    """torch device of --rerun"""
-    out: Path | None = field(default=None, metadata={"writes": Writes("file")})
-    """record for `std-report site --verified` (verification.json in the first folder)"""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_lists(self, "results")
-        for name in ("sample", "rerun", "predictions"):
-            if getattr(self, name) and not self.data:
-                raise ToolkitError("needs the data", field=name, hint="--data ROOT")
-
-    @property
-    def prediction_files(self) -> dict[str, Path]:
-        """Folders and files of predictions by name."""
-        return _named_paths(self.predictions, "predictions")
-
-    @property
-    def weight_files(self) -> dict[str, Path]:
-        """Files of weights by label or method."""
-        return _named_paths(self.weights, "weights")
-
-
-def _named_paths(texts: Sequence[str], option: str) -> dict[str, Path]:
-    found = {}
-    for text in texts:
-        name, equals, path = text.partition("=")
-        if not (name and equals and path):
-            raise ToolkitError("expected NAME=PATH", field=option, value=text)
-        if not Path(path).exists():
-            raise ToolkitError("no such file or folder", path=path, field=option)
-        found[name] = Path(path)
-    return found
 
 
 def options_by_method(config: NetworkConfig, methods: Sequence[str]) -> dict[str, MethodOptions]:

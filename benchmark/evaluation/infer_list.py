@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from benchmark.data.frame import DepthFrame
 from benchmark.data.splits import DepthSource, FrameKey, inputs_of, open_split
-from benchmark.evaluation.config import FRAME_LIST, InferListOptions
 from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.query_options import FRAME_LIST, InferListOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import write_color, write_png

@@ -10,7 +10,6 @@ import pandas as pd
 
 from benchmark.data.identity import data_digest
 from benchmark.evaluation import recompute
-from benchmark.evaluation.config import VerifyOptions
 from benchmark.evaluation.frames import chosen_frames
 from benchmark.evaluation.manifest import (
     BOP_FILE,
@@ -22,6 +21,7 @@ from benchmark.evaluation.manifest import (
     BopManifest,
     circumstances,
 )
+from benchmark.evaluation.query_options import VerifyOptions
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, TABLE, Result, read_known, read_table
 from benchmark.evaluation.tasks import bop_results, depth_results, grasp_results, pose_results
 from benchmark.evaluation.tasks.grasp_dump import PRECISIONS, read_dump_run

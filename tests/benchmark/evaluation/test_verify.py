@@ -13,9 +13,9 @@ import pytest
 from benchmark.cli import report as report_cli
 from benchmark.cli.bench import main
 from benchmark.data.known_splits import STD_CATKNOWN
-from benchmark.evaluation.config import VerifyOptions
 from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.evaluate import evaluate
+from benchmark.evaluation.query_options import VerifyOptions
 from benchmark.evaluation.results import TABLE
 from benchmark.evaluation.verification import VERIFICATION, VerifiedRun, read_grades
 from benchmark.evaluation.verify import verify

@@ -13,8 +13,8 @@ import pytest
 from hostile_pages import PAYLOADS, harm
 
 from benchmark.cli.report import main
-from benchmark.evaluation.config import VerifyOptions
 from benchmark.evaluation.engine import run_all
+from benchmark.evaluation.query_options import VerifyOptions
 from benchmark.evaluation.tasks.depth_speed import Speed
 from benchmark.evaluation.verify import verify
 from benchmark.report.site.build import build_site
