@@ -23,8 +23,23 @@ from std_toolkit.cli.programs import _load as program_of
 from std_toolkit.jobs.door import Writes
 
 # Options that name files or folders that are only read.
+# Not required, but one of them is needed, or for another option.
+ALSO_NEEDED = {"benchmark.evaluation.config:BopConfig": ("results", "program")}
+
 INPUTS = {
-    *("--script", "A", "B", "SCENES", "--depth-from", "--meshes", "--scenes", "--dump", "--data"),
+    *(
+        "--detections",
+        "--verified",
+        "--script",
+        "A",
+        "B",
+        "SCENES",
+        "--depth-from",
+        "--meshes",
+        "--scenes",
+        "--dump",
+        "--data",
+    ),
     *("--results", "ROOT", "--root", "SOURCE", "--models", "--cameras", "--hand-eye", "--board"),
     *("--mesh", "--pose", "--correspondences", "RESULTS", "SOURCES", "--weights", "PHOTOS"),
     *("FLIPPED", "--masks", "--environment", "--list-file", "--assets-root", "--validation"),
@@ -77,7 +92,8 @@ def needed(command: Command, attacked: Any, folder: Path) -> list[str]:
     """Words for the options that a command needs, except one."""
     positional, named = [], []
     for option in _options(_load(command.options)):
-        if option.field == attacked.field or option.default is not option_missing():
+        also = option.name in ALSO_NEEDED.get(command.options, ())
+        if option.field == attacked.field or (option.default is not option_missing() and not also):
             continue
         kinds = [k for k in (option.type, *typing.get_args(option.type)) if k in (Path, int, float)]
         word = "1" if kinds else "x"
