@@ -51,7 +51,7 @@ def file_of(folder: str, name: str) -> str:
     """Return the address of a page: equal on systems that know no capitals, whatever the name.
 
     >>> file_of("methods", "A/B <x>")
-    'methods/a-b-x-9dcfed4b.html'
+    'methods/a-b-x-001d40e6.html'
     """
     safe = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60]
     return f"{folder}/{safe}-{zlib.crc32(name.encode()):08x}.html"
