@@ -33,6 +33,12 @@ class CameraTableSettings(Settings):
         6.3, unit="rad", source="a turn is 2 pi; angles in degrees are larger in most rows"
     )
     """longest rotation vector"""
+    farthest_camera: float = limit(
+        2.0,
+        unit="m",
+        source="reach of a robot's hand; millimetres read as metres are 20 m and more",
+    )
+    """farthest that a camera may be from the flange of a hand-eye calibration"""
 
 
 def poses_or_lost(

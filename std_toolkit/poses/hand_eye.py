@@ -18,7 +18,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.log import logger
 from std_toolkit.poses.camera_file import read_cameras
-from std_toolkit.poses.filed_matrices import as_matrix
+from std_toolkit.poses.filed_matrices import CameraTableSettings, as_matrix
 
 _LAYOUTS = (
     "4x4 numbers as text or .npy, a matrix in JSON or YAML, x y z qx qy qz qw of easy_handeye, "
@@ -33,7 +33,6 @@ _INVERSE = re.compile(
 _OF_BASE = re.compile(r"(base|world|robot)(_?link)?[_.]?(2|to|t|_)[_.]?(cam|camera|eye)|"
                       r"(cam|camera|eye)[_.]?(2|to|t|_)[_.]?(base|world|robot)")  # fmt: skip
 _CAMERA = re.compile("cam|optical|rgb|color|depth")
-_FARTHEST_M = 2.0  # between a flange and its camera
 _ROTATIONS = ("rotation", "orientation", "quaternion", "quat", "q")
 _HAND_KEYS = ("eye_on_hand", "eye_in_hand")
 _KIND_KEYS = ("calibration_type", "calib_type", "sensor_mount_type", "mount_type", "setup")
@@ -66,7 +65,7 @@ def read_transform(path: Path, *, unit_in_m: float) -> SE3:
     M = _of_mapping(document, path) if is_mapping else _of_table(path, document)  # type: ignore[arg-type]
     T = SE3.from_matrix(M)
     far = float(np.linalg.norm(T.t)) * unit_in_m
-    if far > _FARTHEST_M:
+    if far > CameraTableSettings.current().farthest_camera:
         raise ToolkitError(
             "the camera is implausibly far from the flange", path=path, value=f"{far:.4g} m",
             hint="millimetres? give --hand-eye-unit mm (or cm)",
