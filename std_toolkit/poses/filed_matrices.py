@@ -36,7 +36,7 @@ class CameraTableSettings(Settings):
     farthest_camera: float = limit(
         2.0,
         unit="m",
-        source="reach of a robot's hand; millimetres read as metres are 20 m and more",
+        source="a hand is shorter; millimetres read as metres are 20 m and more",
     )
     """farthest that a camera may be from the flange of a hand-eye calibration"""
 
