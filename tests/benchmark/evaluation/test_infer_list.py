@@ -89,7 +89,7 @@ def test_from_the_list_to_the_score(
         wanted = np.where(frame.depth_raw > 0, frame.depth_raw, np.float32(0.7))
         errors = score_frame(wanted, frame, get_protocol())[0].errors
         # Raw depth was enlarged to the size of colour, by another nearest pixel.
-        assert found == pytest.approx(errors.rmse, rel=0.02) and found > 0.01
+        assert found == pytest.approx(errors.rmse, rel=0.05) and found > 0.01
     assert (rows["coverage"] == 1).all()
     # A second list into the same folder goes on; another limit writes another list.
     again = ["infer-list", "--data", str(root), "--split", SPLIT, "--out", str(tmp_path / "todo")]
