@@ -118,6 +118,13 @@ def read_groups(root: Path, split: str = "test") -> list[ViewGroup]:
 
     Raises:
         ToolkitError: there are none, or they break the format.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "test_targets_multiview_bop25.json")
+    ...     _ = path.write_text('[{"scene_id": 1, "im_id": [["photoneo", 3], ["photoneo", 7]]}]')
+    ...     read_groups(Path(folder))[0].images("photoneo")
+    [3, 7]
     """
     path = _multi_view_path(root, split)
     if not path.is_file():

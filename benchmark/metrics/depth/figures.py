@@ -248,6 +248,12 @@ def shown_columns(*, aligned: bool = False) -> tuple[Column, ...]:
     Args:
         aligned: as papers on depth up to scale and shift print them: centimetres, and the relative
             error in percent.
+
+    Returns:
+        The columns, coverage last.
+
+    >>> [(c.heading, c.unit) for c in shown_columns(aligned=True)][:2]
+    [('RMSE', 'cm'), ('REL', '%')]
     """
     columns = [*(figure.column for figure in FIGURES), COVERAGE]
     if aligned:

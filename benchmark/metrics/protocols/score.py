@@ -240,6 +240,14 @@ def pair_sums(
         restored: (h, w) predictions of any unit.
         true: (k, l) true metres, 0 where there is none.
         protocol: whose grid and range of depth count.
+
+    Returns:
+        The sums, without missing predictions.
+
+    >>> from benchmark.metrics.protocols.protocol import get_protocol
+    >>> true = np.full((126, 224), 0.5, np.float32)
+    >>> pair_sums(2 * true, true, get_protocol("aligned-frame")).count == 126 * 224
+    True
     """
     steps = protocol.grids[0].steps((true.shape[1], true.shape[0]))
     depths = [

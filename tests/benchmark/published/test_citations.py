@@ -37,7 +37,9 @@ def test_every_name_is_one_of_the_command_line() -> None:
     assert set(KEYS) <= known
     # What has no paper is chosen, not forgotten.
     own = {"raw", "nearest", "planes", "onnx", "scenes", "std-export", "strict", "gt-nocs"}
-    assert known - set(KEYS) <= own | {"antipodal", "full-frame"}
+    assert known - set(KEYS) <= own | {
+        *("antipodal", "full-frame", "aligned-frame", "aligned-clip")
+    }
 
 
 def test_a_source_is_cited_once() -> None:
