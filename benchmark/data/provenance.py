@@ -9,7 +9,7 @@ import msgspec
 
 from benchmark.data.splits import DepthSource, SceneFiles, get_split
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import digest_of, read_document
+from std_toolkit.io.documents import decode_document, digest_of, read_document
 from std_toolkit.scene.sidecar import SIDECAR_NAME
 
 Kind = Literal["published", "simulated", "own recording", "unknown"]
@@ -142,7 +142,8 @@ def _preset(options: Any) -> str:
 
     found = []
     for name, preset in PRESETS.items():
-        usual = msgspec.json.decode(msgspec.json.encode(preset.options))  # lists, as files have
+        # Lists, as files have.
+        usual = decode_document(msgspec.json.encode(preset.options), dict[str, Any])
         if not isinstance(options, dict) or options.keys() != usual.keys():
             continue
         other = [f"{k} {_word(v)}" for k, v in options.items() if usual[k] != v]

@@ -76,10 +76,7 @@ def read_detections(path: Path) -> list[Detection]:
         ToolkitError: it cannot be read, or an entry breaks the format.
     """
     data = read_regular(path, "detections", _LARGEST_BYTES)
-    try:
-        found = msgspec.json.decode(data, type=list[Detection])
-    except msgspec.MsgspecError:
-        found = decode_document(data, list[Detection], path=path)  # names the field
+    found = decode_document(data, list[Detection], path=path)
     for k, d in enumerate(found):
         if not (d.bbox[2] > 0 and d.bbox[3] > 0):
             raise ToolkitError("a box needs a width and a height", path=path,

@@ -163,7 +163,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "inverse": ({**NUMBERS, "model": "Inverse Brown Conrady", "D": [0.1] * 5}, "not supported"),
     "double sphere": ({**NUMBERS, "camera_model": "ds", "k1": 0.1}, "camera_model"),
     "no coefficients": ({**NUMBERS, "camera_model": "FISHEYE"}, "k1: .*missing"),
-    "two coefficients": ({**NUMBERS, "model": "fisheye", "D": [0.1, 0.2]}, "has 4 coefficients"),
+    "two coefficients": ({**NUMBERS, "model": "fisheye", "D": [0.1, 0.2]}, "needs 4 coefficients"),
     "five coefficients": ({**NUMBERS, "model": "fisheye", "D": [0.1] * 5}, "too many"),
     "k4 of nerfstudio": ({"camera_model": "OPENCV", **NERF, **NAMED}, "k4: .*nerfstudio"),
 }  # fmt: skip
