@@ -20,7 +20,7 @@ from benchmark.evaluation.engine import run_task
 from benchmark.evaluation.frames import Base, error_line
 from benchmark.evaluation.known_data import CONTENT_FILE
 from benchmark.evaluation.results import ERROR, FRAME, NOT_FINITE, SCENE, UNREAD, read_table
-from benchmark.evaluation.tasks.bop import BopRun
+from benchmark.evaluation.tasks.bop import BopRun, digest_of_results
 from benchmark.evaluation.tasks.depth import Run
 from benchmark.evaluation.tasks.depth_results import OVER_ALL, OVER_ANSWERED, RunResult
 from benchmark.evaluation.tasks.pose import Methods, PoseFrame, PoseRun
@@ -296,13 +296,12 @@ def remake_poses(result: PoseResult, source: Source, keys: Sequence[FrameKey]) -
     return Remade("recomputed", "predictions of the table", found, keys_of_row, _OF_TRUTH, content)
 
 
-def remake_bop(manifest: Any, source: Source, digest_of_file: Any) -> tuple[Remade, Any]:
+def remake_bop(manifest: Any, source: Source) -> tuple[Remade, Any]:
     """Score a BOP result file again.
 
     Args:
         manifest: of the run.
         source: `predictions` has the file by the name of the results.
-        digest_of_file: returns the SHA-256 of a file.
 
     Returns:
         The rows, and the figures.
@@ -318,7 +317,7 @@ def remake_bop(manifest: Any, source: Source, digest_of_file: Any) -> tuple[Rema
             "the result file is not with the results", value=f"{setup.results}.csv",
             hint=f"--predictions {setup.results}={setup.results}.csv",
         )  # fmt: skip
-    if digest_of_file(file) != setup.results_sha256:
+    if digest_of_results(file) != setup.results_sha256:
         raise ToolkitError("is not the result file that was scored: its SHA-256 differs", path=file)
     with TemporaryDirectory() as place:
         run = BopRun(

@@ -298,6 +298,30 @@ def counted(results: Iterable[Result[Any]], frames: int | None = None) -> str:
     return text if known.provenance.kind == "published" else f"{text}, {known.origin}"
 
 
+def finished_folders(folder: Path, manifest: str, table: str) -> list[Path]:
+    """Return the folders of finished runs below a folder of results; others are named.
+
+    Args:
+        folder: of results.
+        manifest, table: file names of a run of this task.
+    """
+    finished, begun = _runs_below(folder, manifest, table)
+    _name_unfinished(begun)
+    return finished
+
+
+def _runs_below(folder: Path, manifest: str, table: str) -> tuple[list[Path], list[Path]]:
+    """Folders of the runs that are finished, and of those that are only begun."""
+    every = sorted(path.parent for path in folder.rglob(manifest))
+    finished = [path for path in every if (path / table).exists()]
+    return finished, [path for path in every if path not in finished]
+
+
+def _name_unfinished(begun: Iterable[Path]) -> None:
+    for path in begun:
+        logger.warning("%s: not finished, left out", path)
+
+
 def find_runs(
     folders: Iterable[Path], manifest: str, table: str, read: Callable[[Path], Found]
 ) -> list[Found]:
@@ -314,15 +338,12 @@ def find_runs(
     """
     every: list[Found] = []
     for folder in folders:
-        begun = sorted(path.parent for path in folder.rglob(manifest))
-        finished = [path for path in begun if (path / table).exists()]
+        finished, begun = _runs_below(folder, manifest, table)
         if not finished:
             problem = "no finished run here" + ("" if begun else ", no results of std-bench at all")
             hint = "run the same std-bench command again to go on" if begun else None
             raise ToolkitError(problem, path=folder, hint=hint)
-        for path in begun:
-            if path not in finished:
-                logger.warning("%s: not finished, left out", path)
+        _name_unfinished(begun)
         every += [read(path) for path in finished]
     every = list({result.folder.resolve(): result for result in every}.values())
     places = names_of_data([r.named for r in every], [r.data for r in every])

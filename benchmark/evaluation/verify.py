@@ -1,6 +1,5 @@
 """`std-bench verify`: which figures of results hold, by their files alone and with the data."""
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,16 @@ from benchmark.evaluation.manifest import (
     circumstances,
 )
 from benchmark.evaluation.query_options import VerifyOptions
-from benchmark.evaluation.results import FRAME, INDEX, SCENE, TABLE, Result, read_known, read_table
+from benchmark.evaluation.results import (
+    FRAME,
+    INDEX,
+    SCENE,
+    TABLE,
+    Result,
+    finished_folders,
+    read_known,
+    read_table,
+)
 from benchmark.evaluation.tasks import bop_results, depth_results, grasp_results, pose_results
 from benchmark.evaluation.tasks.grasp_dump import PRECISIONS, read_dump_run
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
@@ -93,11 +101,8 @@ def verify(options: VerifyOptions) -> Verification:
 
 def _runs(top: Path) -> Iterator[tuple[_Kind | None, Path]]:
     for kind in _KINDS:
-        for path in sorted(top.rglob(kind.manifest)):
-            if (path.parent / kind.table).exists():
-                yield kind, path.parent
-            else:
-                logger.warning("%s: not finished, left out", path.parent)
+        for folder in finished_folders(top, kind.manifest, kind.table):
+            yield kind, folder
     for path in sorted(top.rglob(BOP_MANIFEST)):
         yield None, path.parent
 
@@ -207,7 +212,7 @@ def _verify_bop(folder: Path, top: Path, options: VerifyOptions) -> VerifiedRun:
     if options.data:
         try:
             source = _source(setup.data, options)
-            remade, found = recompute.remake_bop(manifest, source, _sha256)
+            remade, found = recompute.remake_bop(manifest, source)
         except recompute.CannotRemake as why:
             checks.append(check("rows", "not checked", str(why)))
         except ToolkitError as error:
@@ -223,13 +228,6 @@ def _verify_bop(folder: Path, top: Path, options: VerifyOptions) -> VerifiedRun:
     return _verified(title, folder, top, BOP_MANIFEST, bop_results.ERRORS, checks,
                      figures=figures, grade=grade, frames=images if figures else 0,
                      of=images)  # fmt: skip
-
-
-def _sha256(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ToolkitError(f"cannot be read: {error.strerror}", path=path) from error
 
 
 def _percent(share: float | None) -> str:

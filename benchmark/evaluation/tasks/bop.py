@@ -87,6 +87,18 @@ class BopData:
         return [FrameKey(f"{scene:06d}", f"{image:06d}") for scene, image in self.images]
 
 
+def digest_of_results(path: Path) -> str:
+    """Return the SHA-256 of a result file.
+
+    Raises:
+        ToolkitError: it cannot be read.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ToolkitError(f"cannot be read: {error.strerror}", path=path) from error
+
+
 @dataclass(frozen=True, kw_only=True)
 class BopRun(FramesRun[BopData, None]):
     """A result file on a data set.
@@ -162,7 +174,7 @@ class BopRun(FramesRun[BopData, None]):
             data=self.data.resolve().name,
             split=self.split,
             results=self.results.stem,
-            results_sha256=hashlib.sha256(self.results.read_bytes()).hexdigest(),
+            results_sha256=digest_of_results(self.results),
             targets=len(lines),
             targets_sha256=hashlib.sha256("\n".join(lines).encode()).hexdigest(),
             renderer=RENDERER,

@@ -15,7 +15,7 @@ from benchmark.evaluation.manifest import (
     POSE_MANIFEST,
     BopManifest,
 )
-from benchmark.evaluation.results import TABLE, Result, read_known, read_table
+from benchmark.evaluation.results import TABLE, Result, finished_folders, read_known, read_table
 from benchmark.evaluation.tasks import bop_results, depth_results, grasp_results, pose_results
 from benchmark.evaluation.tasks.depth_speed import NOT_STATED
 from benchmark.evaluation.tasks.grasp_dump import PRECISIONS, DumpResult, read_dump_run
@@ -38,24 +38,17 @@ from benchmark.report.site.entries import (
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Column
 from std_toolkit.io.documents import digest_of, read_document
-from std_toolkit.log import logger
 
 # Bootstrap samples of scenes: a board of hundreds of runs is made in a minute.
 SAMPLES = 500
 
 
-def _finished(folders: Iterable[Path], manifest: str, table: str) -> Iterator[Path]:
-    seen = set()
+def _finished(folders: Iterable[Path], manifest: str, table: str) -> list[Path]:
+    found: dict[Path, Path] = {}
     for folder in folders:
-        for path in sorted(folder.rglob(manifest)):
-            place = path.parent.resolve()
-            if place in seen:
-                continue
-            seen.add(place)
-            if (path.parent / table).exists():
-                yield path.parent
-            else:
-                logger.warning("%s: not finished, left out", path.parent)
+        for path in finished_folders(folder, manifest, table):
+            found.setdefault(path.resolve(), path)
+    return list(found.values())
 
 
 def _read(
