@@ -99,12 +99,15 @@ class Validator(ABC):
     ) -> np.ndarray:
         """Sums over this process's share of the frames; those of processes add."""
         total = self.zeros(network)
-        own = self.chosen[rank::world]
         with evaluating(network):
-            for begin in range(0, len(own), self.batch):
-                batch = self.frames[list(own[begin : begin + self.batch])]
+            for batch in self.batches(self.chosen[rank::world]):
                 self.add(total, network, {n: t.to(device) for n, t in batch.items()}, context)
         return total
+
+    def batches(self, frames: Sequence[int]) -> Iterator[Batch]:
+        """These of the frames, some at a time."""
+        for begin in range(0, len(frames), self.batch):
+            yield self.frames[list(frames[begin : begin + self.batch])]
 
     @torch.no_grad()
     def gallery(self, network: nn.Module, device: torch.device, path: Path) -> None:

@@ -34,6 +34,12 @@ SPREAD_KINDS = ("measured", "continued", "glass or metal")
 MASK_PARTS = ("of_color", "mask_at", "mask", "clear")
 """Parts after the encoder that see colour alone."""
 
+DEPTH_PARTS = (
+    *("of_depth", "narrow", "around", "up", "refine", "head"),
+    *("join", "wide", "last"),
+)
+"""Parts that see depth, too."""
+
 # What the heads answer, beside features of the residual.
 MASKS, EDGES, NORMALS = 2, 3, 3
 
@@ -173,8 +179,8 @@ class CompactDRNetwork(nn.Module):
     def masks(self, color: Tensor) -> Tensor:
         """(b, 2, h, w) logits of glass and metal, which colour alone decides."""
         padded = padded_to(color, _MULTIPLE)
-        found = precisely(self.clear, self._of_mask(self.encoder(padded)))
-        return _enlarged(found, padded)[..., : color.shape[2], : color.shape[3]]
+        found = self._masks_of(self.encoder(padded), padded)
+        return found[..., : color.shape[2], : color.shape[3]]
 
     def train_parts(self, names: Sequence[str]) -> None:
         """Let these of the network's parts learn, and nothing else."""
@@ -187,7 +193,7 @@ class CompactDRNetwork(nn.Module):
         color, depth = padded_to(color, _MULTIPLE), padded_to(depth, _MULTIPLE)
         of_color = self.encoder(color)
         features = self._features(of_color, depth)
-        masks = _enlarged(precisely(self.clear, self._of_mask(of_color)), depth)
+        masks = self._masks_of(of_color, depth)
         maps = _enlarged(precisely(self.head, features), depth)
         edges, normals, trust = maps.split([EDGES, NORMALS, 1], dim=1)
         clear = masks.sigmoid().amax(dim=1, keepdim=True)
@@ -208,13 +214,13 @@ class CompactDRNetwork(nn.Module):
         )  # fmt: skip
         return Looked(*(one[..., :h, :w] for one in found))
 
-    def _of_mask(self, of_color: Sequence[Tensor]) -> Tensor:
-        """(b, c, h / 2, w / 2) of colour, for the mask."""
+    def _masks_of(self, of_color: Sequence[Tensor], like: Tensor) -> Tensor:
+        """Logits of glass and metal, at the size of `like`."""
         levels = [one(each) for one, each in zip(self.of_color, of_color, strict=True)]
         found = levels[-1] + levels[-1].mean(dim=(2, 3), keepdim=True)
         for layer, finer in zip(reversed(self.mask_at), reversed(levels[:-1]), strict=True):
             found = finer + _enlarged(found + layer(found), finer)
-        return self.mask(found)
+        return _enlarged(precisely(self.clear, self.mask(found)), like)
 
     def _features(self, of_color: Sequence[Tensor], depth: Tensor) -> Tensor:
         """(b, c, h / 2, w / 2) of both, after the decoder."""

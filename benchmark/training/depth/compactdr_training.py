@@ -1,6 +1,6 @@
 """Training of CompactDR: what each of its answers should be, and the loss."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 
 from benchmark.data.frame import BACKGROUND, Material
-from benchmark.methods.depth.compactdr import MASK_PARTS, CompactDRNetwork, Looked
+from benchmark.methods.depth.compactdr import DEPTH_PARTS, MASK_PARTS, CompactDRNetwork, Looked
 from benchmark.training import step
 from benchmark.training.augmentation import depth, holes
 from benchmark.training.depth.cleargrasp_losses import IGNORED, Outlines, outlines_of
@@ -20,6 +20,12 @@ from benchmark.training.validation import DepthValidator, evaluating
 # Phases: the mask of colour with the encoder as it is, both, and what sees depth too with both as
 # they are.
 MASK, ENCODER, DEPTH = "mask", "encoder", "depth"
+
+_LEARNING = {
+    MASK: MASK_PARTS,
+    ENCODER: ("encoder", *MASK_PARTS),
+    DEPTH: DEPTH_PARTS,
+}
 
 # Weights of classes of edges: none, occlusion, contact. Most pixels are of none.
 _EDGE_WEIGHTS = (1.0, 5.0, 5.0)
@@ -174,12 +180,8 @@ class CompactDRValidator(DepthValidator):
     """Sets how far spreads are too small by the frames of validation, then validates."""
 
     def states(self, network: nn.Module, *args: Any, **options: Any) -> np.ndarray:
-        calibrate(cast(CompactDRNetwork, network), self._batches())
+        calibrate(cast(CompactDRNetwork, network), self.batches(self.chosen))
         return super().states(network, *args, **options)
-
-    def _batches(self) -> Iterator[step.Batch]:
-        for begin in range(0, len(self.chosen), self.batch):
-            yield self.frames[list(self.chosen[begin : begin + self.batch])]
 
 
 WITHIN = 0.68
@@ -231,13 +233,10 @@ def compactdr_step(
 ) -> step.Loss:
     """The step of a network that answers with `Looked`, or before the phase `depth` with masks."""
     own, phase = cast(CompactDRNetwork, network), step_info.phase
-    learning = {MASK: MASK_PARTS, ENCODER: ("encoder", *MASK_PARTS)}
     if phase:
-        every = [name for name, _ in own.named_children()]
-        resting = learning[ENCODER]
-        own.train_parts(learning.get(phase, [name for name in every if name not in resting]))
+        own.train_parts(_LEARNING[phase])
     on = inputs.color.device.type
-    if phase in learning:
+    if phase in (MASK, ENCODER):
         masks = own.masks(inputs.color).float()
         with torch.autocast(on, enabled=False):
             total = loss.of_masks(masks, clear_masks(inputs.batch))

@@ -12,7 +12,13 @@ from torch import nn
 from torch.nn.functional import conv2d, pad, relu6
 
 from benchmark.data.frame import BACKGROUND, Material
-from benchmark.methods.depth.compactdr import PRESETS, CompactDRConfig, CompactDRNetwork
+from benchmark.methods.depth.compactdr import (
+    DEPTH_PARTS,
+    MASK_PARTS,
+    PRESETS,
+    CompactDRConfig,
+    CompactDRNetwork,
+)
 from benchmark.methods.depth.continuation import continued, main_plane
 from benchmark.methods.depth.full_size import sensor_view, working_size
 from benchmark.methods.efficientnet import CHANNELS, EfficientNetLite, load_imagenet
@@ -247,6 +253,8 @@ def test_phases_train_their_parts(phase):
     assert ("encoder" in learning) == (phase == "encoder")
     assert ("mask_at" in learning) == (phase != "depth")
     assert ("last" in learning) == (phase == "depth")
+    every = [name for name, _ in network.named_children()]
+    assert sorted(every) == sorted(("encoder", *MASK_PARTS, *DEPTH_PARTS))
 
 
 @pytest.mark.slow
