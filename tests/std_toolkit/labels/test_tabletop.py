@@ -191,16 +191,19 @@ def test_the_half_turn_of_the_bottle_is_refused(bottle):
     (half,) = NearSymmetry(np.asarray(mesh.vertices), np.asarray(mesh.faces)).turns
     found = refine_objects(scene, {thing: by_hand @ half.turn}).objects[thing]
     assert found.texture is not None
-    # Of the few views of a refinement the margin lies near its limit: rounding decides.
-    assert found.texture.verdict in ("turned", "undecided")
+    # The margin lies near its limit: rounding decides between these two.
+    refused = {"turned", "undecided"}
+    assert found.texture.verdict in refused
     assert found.texture.rival_leads
     assert found.texture.turn is not None
     turned = found.pose @ found.texture.turn
     assert np.rad2deg(rotation_error(turned, by_hand)) < 10
     assert found.texture.sentence().startswith("turned by 180 deg about z")
     # The check compares with other frames.
-    for pose, verdict in ((found.pose, "turned"), (turned, "fits")):
+    for pose, verdicts in ((found.pose, refused), (turned, {"fits"})):
         set_pose(scene, "squeezed", 112, scene.T_world_cam(112).inverse() @ pose)
         propagate_labels(scene)
         compared = compare_textures(scene, scene.registered_frames())
-        assert compared[thing].comparison.verdict == verdict
+        comparison = compared[thing].comparison
+        assert comparison.verdict in verdicts
+        assert comparison.rival_leads == (pose is found.pose)
