@@ -1,0 +1,482 @@
+"""Trains compactdr in a few minutes of a GPU on another machine.
+
+    python tools/gpu_run.py prepare FOLDER --data PACK ... [--most-mb 50]
+    python tools/gpu_run.py train --parts FOLDER --weights FILE --out OUT [--minutes 8]
+    python tools/gpu_run.py train --parts FOLDER --weights FILE --out OUT --try
+    python tools/gpu_run.py check --weights FILE
+
+`prepare` writes the frames of packs as FOLDER/part-NN.npz, each small enough to be sent by itself.
+`train` begins with the parts that are there and takes in others as they arrive; a file `complete`
+ends the waiting for the first. It needs PyTorch, OpenCV, kornia, msgspec and Lightning, and of this
+repository `benchmark`, `std_toolkit` and `tools`. The arithmetic is bf16; steps are replayed CUDA
+graphs, which are compared with plain steps first; frames are augmented on the GPU by a thread of
+their own. A running mean of the weights is saved every two minutes. `--try` does the same on the
+CPU, in float32, with little of everything.
+
+The rate falls to 0 at the end of the time: how many steps there are is the machine's doing, and two
+runs do not give the same weights. Weights are chosen afterwards by validation frames.
+
+`check` measures frames per second of the network at several sizes.
+"""
+
+import argparse
+import json
+import lzma
+import queue
+import sys
+import threading
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmark.methods.depth.compactdr import PRESETS, CompactDRNetwork
+from benchmark.methods.weights import read_weights, save_weights
+from benchmark.training.config import TrainConfig, seed_of
+from benchmark.training.depth import compactdr_training
+from benchmark.training.depth.depth_catalogue import COMPACTDR_TRAINING
+from benchmark.training.module import RestorerTraining
+from benchmark.training.step import Batch, ModelInput, StepInfo, model_input
+
+_PER_M = 1e4  # steps of the stored inverse depth: 0.05 mm at 0.7 m
+_QUALITY = 90  # of the stored colour
+
+MASKS, ALL = "encoder", ""  # phases, and the share of the time of the first
+_MASKS_SHARE = 0.3
+_SIZES = ("320x180", "320x180", "320x240", "256x192", "224x126", "192x256")
+_RATE, _ENCODER_RATE, _DECAY, _WARMUP = 1.5e-3, 0.2, 0.01, 200
+_LONGEST_GRADIENT = 5.0
+_MEAN = 0.999  # of the running mean of weights
+_SAVED_S = 120.0
+_AHEAD = 3  # augmented batches that wait
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Train compactdr in a few minutes of a GPU.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("prepare")
+    one.add_argument("folder", type=Path)
+    one.add_argument("--data", type=Path, nargs="+", required=True)
+    one.add_argument("--most-mb", type=float, default=50.0)
+    one = commands.add_parser("train")
+    one.add_argument("--parts", type=Path, required=True)
+    one.add_argument("--weights", type=Path, required=True)
+    one.add_argument("--out", type=Path, required=True)
+    one.add_argument("--minutes", type=float, default=8.0)
+    one.add_argument("--batch", type=int, default=64)
+    one.add_argument("--try", action="store_true", dest="small")
+    one = commands.add_parser("check")
+    one.add_argument("--weights", type=Path, required=True)
+    options = parser.parse_args()
+    {"prepare": prepare, "train": train, "check": check}[options.command](options)
+
+
+def prepare(options: argparse.Namespace) -> None:
+    """Write the frames of packs, shuffled, as parts of at most some megabytes."""
+    from benchmark.training.packed_frames import PackedFrames
+
+    frames = PackedFrames(options.data)
+    order = np.random.default_rng(0).permutation(len(frames))
+    options.folder.mkdir(parents=True, exist_ok=True)
+    part: list[dict[str, bytes]] = []
+    size, number = 0, 0
+
+    def write() -> None:
+        nonlocal part, size, number
+        blobs = [blob for record in part for blob in record.values()]
+        ends = np.cumsum([len(blob) for blob in blobs])
+        path = options.folder / f"part-{number:02d}.npz"
+        np.savez(
+            path,
+            size=np.array(frames.size),
+            names=np.array(list(part[0])),
+            ends=ends,
+            bytes=np.frombuffer(b"".join(blobs), np.uint8),
+        )
+        print(f"{path}: {len(part)} frames, {path.stat().st_size / 1e6:.1f} MB")
+        part, size, number = [], 0, number + 1
+
+    with ThreadPoolExecutor(2) as pool:
+        for record in pool.map(lambda i: _stored(frames.record(int(i))), order):
+            length = sum(map(len, record.values()))
+            if part and size + length > options.most_mb * 1e6:
+                write()
+            part.append(record)
+            size += length
+    write()
+
+
+def _stored(record: Any) -> dict[str, bytes]:
+    """A frame's record as small files."""
+    color = record["color"][..., ::-1]
+    same = np.array_equal(record["raw"], record["true"])
+    return {
+        "color": cv2.imencode(".webp", color, [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])[1].tobytes(),
+        "true": _packed(record["true"]),
+        "raw": b"" if same else _packed(record["raw"]),
+        "mask": zlib.compress(record["mask"].tobytes(), 9),
+        "materials": record["materials"].tobytes(),
+        "K": record["K"].tobytes(),
+    }
+
+
+def _packed(depth: np.ndarray) -> bytes:
+    """Depth as second differences of its inverse, which are nearly 0 on planes."""
+    depth = depth.astype(np.float64)
+    inverse = np.where(depth > 0, np.rint(_PER_M / np.maximum(depth, 0.16)), 0).astype(np.int64)
+    apart = np.diff(np.diff(inverse, axis=0, prepend=0), axis=1, prepend=0)
+    numbers = ((apart << 1) ^ (apart >> 63)).astype("<u4")  # small ones whatever their sign
+    return lzma.compress(numbers.view(np.uint8).reshape(-1, 4).T.tobytes(), preset=6)
+
+
+def _unpacked(data: bytes, h: int, w: int) -> np.ndarray:
+    found = np.frombuffer(lzma.decompress(data), np.uint8).reshape(4, -1)
+    numbers = np.ascontiguousarray(found.T).view("<u4").astype(np.int64).reshape(h, w)
+    apart = (numbers >> 1) ^ -(numbers & 1)
+    inverse = apart.cumsum(axis=1).cumsum(axis=0)
+    return np.where(inverse > 0, _PER_M / np.maximum(inverse, 1), 0).astype(np.float32)
+
+
+def read_part(path: Path) -> dict[str, np.ndarray]:
+    """Arrays over the frames of a part: color, raw, true, mask, materials, K."""
+    with np.load(path) as file:
+        (w, h), names, ends = file["size"].tolist(), file["names"].tolist(), file["ends"]
+        data = file["bytes"].tobytes()
+    begins = np.concatenate([[0], ends[:-1]])
+    blobs = [data[a:b] for a, b in zip(begins, ends, strict=True)]
+    rows = [
+        dict(zip(names, blobs[i : i + len(names)], strict=True))
+        for i in range(0, len(blobs), len(names))
+    ]
+
+    def frame(row: dict[str, bytes]) -> dict[str, np.ndarray]:
+        color = cv2.imdecode(np.frombuffer(row["color"], np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        true = _unpacked(row["true"], h, w)
+        return {
+            "color": color,
+            "true": true,
+            "raw": _unpacked(row["raw"], h, w) if row["raw"] else true,
+            "mask": np.frombuffer(zlib.decompress(row["mask"]), np.uint8).reshape(h, w),
+            "materials": np.frombuffer(row["materials"], np.uint8),
+            "K": np.frombuffer(row["K"], np.float32).reshape(3, 3),
+        }
+
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(frame, rows))
+    return {name: np.stack([one[name] for one in found]) for name in found[0]}
+
+
+class Frames:
+    """Frames on the device, more as further parts arrive."""
+
+    def __init__(self, folder: Path, device: torch.device) -> None:
+        self.folder, self.device = folder, device
+        self.lock = threading.Lock()  # of the device: nothing else may run while a graph is made
+        self._read: set[str] = set()
+        self.tensors: dict[str, Tensor] = {}
+        while not self.take():
+            time.sleep(0.2)
+        threading.Thread(target=self._wait, daemon=True).start()
+
+    def _wait(self) -> None:
+        while True:
+            time.sleep(1)
+            self.take()
+
+    def __len__(self) -> int:
+        return len(self.tensors["color"]) if self.tensors else 0
+
+    def take(self) -> bool:
+        """Take in what is new; a part is read when `part-NN.npz.done` lies beside it."""
+        for mark in sorted(self.folder.glob("part-*.npz.done")):
+            if mark.name in self._read:
+                continue
+            self._read.add(mark.name)
+            new = {n: torch.from_numpy(a) for n, a in read_part(mark.with_suffix("")).items()}
+            with self.lock:
+                on = {name: tensor.to(self.device) for name, tensor in new.items()}
+                if self.tensors:
+                    on = {name: torch.cat([self.tensors[name], on[name]]) for name in on}
+                if self.device.type == "cuda":
+                    torch.cuda.synchronize()  # batches are drawn on another stream
+                self.tensors = on
+            print(f"{mark.stem}: {len(self)} frames in all", flush=True)
+        return len(self) > 0
+
+    def batch(self, count: int, rng: np.random.Generator) -> Batch:
+        tensors = self.tensors
+        chosen = rng.choice(len(tensors["color"]), count, replace=len(tensors["color"]) < count)
+        index = torch.from_numpy(chosen).to(self.device)
+        return {**{name: t[index] for name, t in tensors.items()}, "index": index}
+
+
+def configuration(small: bool) -> TrainConfig:
+    """What the frames of a step are changed by."""
+    return TrainConfig(
+        method="compactdr", preset="compact", steps=1, validate_every=1, checkpoint_every=1,
+        optimization=COMPACTDR_TRAINING.optimization, training="", validation="",
+        geometry=True, object_dropout=0.3, copy_paste=0.1, clear_gone=0.4, clear_behind=0.35,
+        holes=0.6, wrong_color=0.04, depth_noise=0.7, patterns=0.3, precision="bf16",
+        sizes=("96x64", "64x96") if small else _SIZES,
+    )  # fmt: skip
+
+
+_KEPT = ("true", "mask", "materials", "K")
+
+
+class Augmented(threading.Thread):
+    """Makes augmented batches ahead, on a stream of its own."""
+
+    def __init__(self, module: RestorerTraining, frames: Frames, batch: int) -> None:
+        super().__init__(daemon=True)
+        self.module, self.frames, self.count = module, frames, batch
+        self.ready: queue.Queue[Any] = queue.Queue(_AHEAD)
+        self.ended = threading.Event()
+        self.cuda = frames.device.type == "cuda"
+
+    def run(self) -> None:
+        try:
+            stream = torch.cuda.Stream() if self.cuda else None
+            number = 0
+            while not self.ended.is_set():
+                if stream is None:
+                    self.ready.put((self._one(number), None))
+                else:
+                    with torch.cuda.stream(stream):
+                        made, done = self._one(number), torch.cuda.Event()
+                        done.record(stream)
+                    self.ready.put((made, done))
+                number += 1
+        except BaseException as error:  # for the thread that trains
+            self.ready.put((error, None))
+            raise
+
+    def stop(self) -> None:
+        self.ended.set()
+        while self.is_alive():
+            while not self.ready.empty():
+                self.ready.get()
+            self.join(0.1)
+
+    @torch.no_grad()
+    def _one(self, number: int) -> ModelInput:
+        with self.frames.lock:
+            return self._made(number)
+
+    def _made(self, number: int) -> ModelInput:
+        torch.manual_seed(seed_of(0, number))
+        batch = self.frames.batch(self.count, np.random.default_rng([0, number]))
+        with torch.autocast(self.frames.device.type, enabled=False):
+            found = self.module.augmented(model_input(batch))
+        return found._replace(batch={name: found.batch[name] for name in _KEPT})
+
+
+class Step:
+    """Gradients of a phase: of plain steps, or replayed for each size of frames."""
+
+    def __init__(self, network: CompactDRNetwork, loss: Any, phase: str, frames: Frames) -> None:
+        self.network, self.loss, self.info = network, loss, StepInfo(phase)
+        self.cuda, self.lock = frames.device.type == "cuda", frames.lock
+        network.requires_grad_(True)
+        names = compactdr_training.LEARNING[phase] if phase else None
+        self.parameters = [
+            p for n, p in network.named_parameters() if names is None or n.split(".")[0] in names
+        ]
+        self.gradients = [torch.zeros_like(p) for p in self.parameters]
+        self.graphs: dict[tuple[int, ...], tuple[Any, ModelInput, Tensor]] = {}
+        self.pool: Any = None
+        for p, g in zip(self.parameters, self.gradients, strict=True):
+            p.grad = g
+
+    def plain(self, inputs: ModelInput) -> Tensor:
+        torch._foreach_zero_(self.gradients)
+        kind = torch.bfloat16
+        with torch.autocast("cuda" if self.cuda else "cpu", kind, self.cuda, cache_enabled=False):
+            loss = compactdr_training.compactdr_step(self.network, self.loss, inputs, self.info)
+        loss.total.backward()
+        return loss.total.detach()
+
+    def __call__(self, inputs: ModelInput) -> Tensor:
+        if not self.cuda:
+            return self.plain(inputs)
+        key = tuple(inputs.depth.shape)
+        if key not in self.graphs:
+            with self.lock:
+                self.graphs[key] = self._captured(inputs)
+        graph, static, total = self.graphs[key]
+        if graph is None:
+            return self.plain(inputs)
+        _copy(inputs, static)
+        graph.replay()
+        return total
+
+    def _captured(self, inputs: ModelInput) -> tuple[Any, Any, Any]:
+        """A graph of the step at this size; None where it cannot be made or differs."""
+        static = ModelInput(
+            inputs.color.clone(), inputs.depth.clone(),
+            {name: tensor.clone() for name, tensor in inputs.batch.items()},
+        )  # fmt: skip
+        side = torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            for _ in range(3):
+                plain = float(self.plain(static))
+        torch.cuda.current_stream().wait_stream(side)
+        try:
+            graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(graph, pool=self.pool, capture_error_mode="thread_local"):
+                total = self.plain(static)
+            self.pool = self.pool or graph.pool()
+            graph.replay()
+            replayed = float(total)
+        except RuntimeError as error:
+            print(f"no graph: {error}", flush=True)
+            torch.cuda.synchronize()
+            return None, None, None
+        apart = abs(replayed - plain) / max(abs(plain), 1e-6)
+        size = f"{inputs.depth.shape[3]}x{inputs.depth.shape[2]}"
+        print(f"graph {size}: loss {replayed:.5f}, of a plain step {plain:.5f}", flush=True)
+        return (graph, static, total) if apart < 0.02 else (None, None, None)
+
+
+def _copy(source: ModelInput, into: ModelInput) -> None:
+    into.color.copy_(source.color)
+    into.depth.copy_(source.depth)
+    for name, tensor in into.batch.items():
+        tensor.copy_(source.batch[name])
+
+
+def train(options: argparse.Namespace) -> None:
+    """Train for some minutes, and save the running mean of the weights every two."""
+    cuda = torch.cuda.is_available() and not options.small
+    device = torch.device("cuda" if cuda else "cpu")
+    if cuda:
+        torch.backends.cuda.matmul.allow_tf32 = True
+        torch.backends.cudnn.allow_tf32 = True
+        torch.backends.cudnn.benchmark = True
+        print(torch.cuda.get_device_name(), torch.__version__, flush=True)
+    minutes, batch = (options.minutes, options.batch) if not options.small else (1.0, 6)
+    options.out.mkdir(parents=True, exist_ok=True)
+    begin = time.monotonic()
+    torch.manual_seed(0)
+    network = CompactDRNetwork(PRESETS["compact"])
+    network.load_state_dict({n: t.float() for n, t in read_weights(options.weights).items()})
+    network.to(device, memory_format=torch.channels_last).train()
+    own = network.state_dict()
+    mean = {name: tensor.clone() for name, tensor in own.items()}
+    frames = Frames(options.parts, device)
+    loss = COMPACTDR_TRAINING.loss_with({})
+    config = configuration(options.small)
+    module = RestorerTraining(config, network, COMPACTDR_TRAINING.step, loss, str)
+    augmented = Augmented(module, frames, batch)
+    augmented.start()
+    saved, rows, number = time.monotonic(), [], 0
+    log = (options.out / "log.txt").open("w")
+    for phase, first, last in ((MASKS, 0.0, _MASKS_SHARE), (ALL, _MASKS_SHARE, 1.0)):
+        step = Step(network, loss, phase, frames)
+        optimizer = _optimizer(network, step.parameters, cuda)
+        for count, inputs in enumerate(_batches(augmented)):
+            share = (time.monotonic() - begin) / (60 * minutes)
+            if share >= last:
+                break
+            within = (share - first) / (last - first)
+            rate = _RATE * min(1.0, (count + 1) / _WARMUP) * max(1 - within, 0.0)
+            for group in optimizer.param_groups:
+                group["lr"] = rate * group["of_rate"]
+            total = step(inputs)
+            torch.nn.utils.clip_grad_norm_(step.parameters, _LONGEST_GRADIENT, foreach=True)
+            optimizer.step()
+            number += 1
+            kept = min(_MEAN, (1 + number) / (10 + number))
+            with torch.no_grad():
+                torch._foreach_lerp_([*mean.values()], [*own.values()], 1 - kept)
+            if number % 100 == 0 or options.small:
+                value = float(total)
+                if not np.isfinite(value):
+                    raise SystemExit(f"step {number}: the loss is not a number")
+                rows.append(value)
+                if number % 200 == 0 or options.small:
+                    at = time.monotonic() - begin
+                    line = f"{at:6.1f} s, step {number}, {phase or 'all'}: loss {np.mean(rows):.4f}"
+                    line += f", {number * batch / at:.0f} samples/s, {augmented.ready.qsize()} wait"
+                    print(line, file=log, flush=True)
+                    print(line, flush=True)
+                    rows = []
+            if time.monotonic() - saved > _SAVED_S:
+                saved = time.monotonic()
+                _save(mean, options.out / f"mean-{number:06d}.safetensors")
+        for p in network.parameters():
+            p.grad = None
+    augmented.stop()
+    _save(mean, options.out / "mean.safetensors")
+    at = time.monotonic() - begin
+    summary = {"steps": number, "batch": batch, "frames": len(frames), "seconds": round(at, 1)}
+    (options.out / "run.json").write_text(json.dumps(summary))
+    print(summary, flush=True)
+
+
+def _batches(augmented: Augmented) -> Iterator[ModelInput]:
+    while True:
+        made, done = augmented.ready.get()
+        if isinstance(made, BaseException):
+            raise made
+        if done is not None:
+            torch.cuda.current_stream().wait_event(done)
+            for tensor in (made.color, made.depth, *made.batch.values()):
+                tensor.record_stream(torch.cuda.current_stream())
+        yield made
+
+
+def _optimizer(network: CompactDRNetwork, parameters: list[Any], cuda: bool) -> Any:
+    encoder = {id(p) for p in network.encoder.parameters()}
+    groups = [
+        {"params": [p for p in parameters if id(p) in encoder], "of_rate": _ENCODER_RATE},
+        {"params": [p for p in parameters if id(p) not in encoder], "of_rate": 1.0},
+    ]
+    return torch.optim.AdamW(groups, lr=_RATE, weight_decay=_DECAY, fused=cuda)
+
+
+def _save(mean: dict[str, Tensor], path: Path) -> None:
+    network = CompactDRNetwork(PRESETS["compact"])
+    network.load_state_dict({name: tensor.cpu() for name, tensor in mean.items()})
+    save_weights(network.half(), path)
+
+
+def check(options: argparse.Namespace) -> None:
+    """Frames per second of the network, of one and of sixteen frames."""
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    network = CompactDRNetwork(PRESETS["compact"])
+    network.load_state_dict({n: t.float() for n, t in read_weights(options.weights).items()})
+    network.to(device, memory_format=torch.channels_last).eval()
+
+    def timed(run: Callable[[], Any], rounds: int) -> float:
+        for _ in range(3):
+            run()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        begin = time.perf_counter()
+        for _ in range(rounds):
+            run()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        return rounds / (time.perf_counter() - begin)
+
+    with torch.inference_mode():
+        for (w, h), count in (((320, 180), 1), ((320, 240), 1), ((320, 180), 16)):
+            color = torch.rand(count, 3, h, w, device=device)
+            depth = 0.5 + torch.rand(count, 1, h, w, device=device)
+            speed = count * timed(lambda c=color, d=depth: network(c, d), 20)
+            print(f"{w}x{h}, {count} together: {speed:.1f} frames/s on {device.type}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
