@@ -116,7 +116,7 @@ def augmentation(frames: PackedFrames) -> None:
             torch.manual_seed(repeat)
             began = time.process_time()
             for _ in range(BATCHES):
-                module._augmented(inputs)
+                module.augmented(inputs)
             times[title].append(1000 * (time.process_time() - began) / BATCHES / AUGMENTED)
     # The first round warms up. Of the same draws the least time, because the machine may be busy.
     least = {title: sum(sorted(t[1:])[:3]) / 3 for title, t in times.items()}

@@ -79,7 +79,7 @@ class RestorerTraining(pl.LightningModule):
         # depend on its number alone.
         torch.manual_seed(seed_of(self.config.seed, self.global_step, part, self.global_rank))
         with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
-            inputs = self._augmented(model_input(batch))
+            inputs = self.augmented(model_input(batch))
         loss = self.step(self.network, self.loss, inputs, self.config.step_info(self.global_step))
         if not torch.isfinite(loss.total):
             self._stop("the loss is not a number", {n: float(p) for n, p in loss.parts.items()})
@@ -104,7 +104,8 @@ class RestorerTraining(pl.LightningModule):
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
 
-    def _augmented(self, inputs: ModelInput) -> ModelInput:
+    def augmented(self, inputs: ModelInput) -> ModelInput:
+        """Frames as the configuration changes them; all draws are from torch's generators."""
         config = self.config
         if config.sizes:
             from benchmark.training.augmentation.frames import cropped

@@ -21,11 +21,12 @@ from benchmark.training.validation import DepthValidator, evaluating
 # they are.
 MASK, ENCODER, DEPTH = "mask", "encoder", "depth"
 
-_LEARNING = {
+LEARNING = {
     MASK: MASK_PARTS,
     ENCODER: ("encoder", *MASK_PARTS),
     DEPTH: DEPTH_PARTS,
 }
+"""Parts of the network that learn in each phase."""
 
 # Weights of classes of edges: none, occlusion, contact. Most pixels are of none.
 _EDGE_WEIGHTS = (1.0, 5.0, 5.0)
@@ -234,7 +235,7 @@ def compactdr_step(
     """The step of a network that answers with `Looked`, or before the phase `depth` with masks."""
     own, phase = cast(CompactDRNetwork, network), step_info.phase
     if phase:
-        own.train_parts(_LEARNING[phase])
+        own.train_parts(LEARNING[phase])
     on = inputs.color.device.type
     if phase in (MASK, ENCODER):
         masks = own.masks(inputs.color).float()
