@@ -2,16 +2,15 @@
 
     python tools/gpu_run.py prepare FOLDER --data PACK ... [--most-mb 50]
     python tools/gpu_run.py train --parts FOLDER --weights FILE --out OUT [--minutes 8]
-    python tools/gpu_run.py train --parts FOLDER --weights FILE --out OUT --try
+    python tools/gpu_run.py train --parts FOLDER --weights FILE --out OUT --minutes 0.5 --try
     python tools/gpu_run.py check --weights FILE
 
 `prepare` writes the frames of packs as FOLDER/part-NN.npz, each small enough to be sent by itself.
-`train` begins with the parts that are there and takes in others as they arrive; a file `complete`
-ends the waiting for the first. It needs PyTorch, OpenCV, kornia, msgspec and Lightning, and of this
-repository `benchmark`, `std_toolkit` and `tools`. The arithmetic is bf16; steps are replayed CUDA
-graphs, which are compared with plain steps first; frames are augmented on the GPU by a thread of
-their own. A running mean of the weights is saved every two minutes. `--try` does the same on the
-CPU, in float32, with little of everything.
+`train` waits for the first part and takes in others as they arrive: a part is complete when
+part-NN.npz.done lies beside it. It needs PyTorch, OpenCV, kornia, msgspec, Lightning and this
+repository's code. The arithmetic is bf16. Steps are replayed CUDA graphs, which are compared with
+plain steps first. A thread of its own augments frames on the GPU. A running mean of the weights is
+saved every two minutes. `--try` does the same on the CPU, in float32, with little of everything.
 
 The rate falls to 0 at the end of the time: how many steps there are is the machine's doing, and two
 runs do not give the same weights. Weights are chosen afterwards by validation frames.
@@ -364,7 +363,7 @@ def train(options: argparse.Namespace) -> None:
         torch.backends.cudnn.allow_tf32 = True
         torch.backends.cudnn.benchmark = True
         print(torch.cuda.get_device_name(), torch.__version__, flush=True)
-    minutes, batch = (options.minutes, options.batch) if not options.small else (1.0, 6)
+    minutes, batch = options.minutes, 6 if options.small else options.batch
     options.out.mkdir(parents=True, exist_ok=True)
     begin = time.monotonic()
     torch.manual_seed(0)
