@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from std_toolkit.io.documents import read_document
+from std_toolkit.io.documents import read_document, write_document
 
 SUBMISSION = "submission.json"
 
@@ -48,3 +48,16 @@ def read_submission(folder: Path) -> Submission | None:
     """
     path = folder / SUBMISSION
     return read_document(path, Submission) if path.is_file() else None
+
+
+def keep_submission(predictions: Path | None, folder: Path) -> None:
+    """Copy what an author says of predictions to the folder of a run, or remove what was there.
+
+    Raises:
+        ToolkitError: see `read_submission`.
+    """
+    said = None if predictions is None else read_submission(predictions)
+    if said is None:
+        (folder / SUBMISSION).unlink(missing_ok=True)
+    else:
+        write_document(folder / SUBMISSION, said)

@@ -41,7 +41,7 @@ from benchmark.evaluation.results import (
     TABLE,
     UNREAD,
 )
-from benchmark.evaluation.submission import SUBMISSION, read_submission
+from benchmark.evaluation.submission import keep_submission, read_submission
 from benchmark.evaluation.tasks import depth_results
 from benchmark.evaluation.tasks.depth_clips import (
     clips_left,
@@ -59,7 +59,6 @@ from benchmark.metrics.protocols.alignment import Line
 from benchmark.metrics.protocols.protocol import Protocol, get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import write_document
 from std_toolkit.log import logger
 
 
@@ -322,11 +321,7 @@ class Run(FrameRun[Restorer]):
     def after(self) -> None:
         """Measure speed and save pictures of a few frames, unless they exist; keep what the author
         of predictions says of them."""
-        said = None if self.depth_from is None else read_submission(self.depth_from)
-        if said is None:
-            (self.folder / SUBMISSION).unlink(missing_ok=True)
-        else:
-            write_document(self.folder / SUBMISSION, said)
+        keep_submission(self.depth_from, self.folder)
         if self.speed:
             from benchmark.evaluation.tasks.depth_speed import write_speed
 

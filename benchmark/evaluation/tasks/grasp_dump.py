@@ -34,6 +34,7 @@ from benchmark.evaluation.results import (
     read_table,
     write_part,
 )
+from benchmark.evaluation.submission import Submission, keep_submission, read_submission
 from benchmark.evaluation.values import checked_label
 from benchmark.metrics.grasp.ap import (
     TOP,
@@ -134,6 +135,7 @@ class DumpRun(TaskRun[GraspNetData, None]):
     def open(self) -> GraspNetData:
         if not self.dump.is_dir():
             raise ToolkitError("the folder of grasps is not there", path=self.dump)
+        read_submission(self.dump)  # a wrong one is refused before any work
         return GraspNetData(self.data, self.camera, self.split)
 
     def make(self, device: str) -> None:
@@ -213,6 +215,10 @@ class DumpRun(TaskRun[GraspNetData, None]):
         write_part(self.folder, item, item, [row])
         return 1
 
+    def after(self) -> None:
+        """Keep what the author of the grasps says of them."""
+        keep_submission(self.dump, self.folder)
+
     def read(self) -> DumpResult:
         return read_dump_run(self.folder)
 
@@ -243,7 +249,13 @@ class DumpFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class DumpResult(Result[DumpManifest]):
-    """Results of a dump."""
+    """Results of a dump.
+
+    Attributes:
+        said: what the author of the grasps says of them, if anything.
+    """
+
+    said: Submission | None = None
 
     @property
     def title(self) -> str:
@@ -294,7 +306,8 @@ def read_dump_run(folder: Path) -> DumpResult:
     check_columns(table, (INDEX, SCENE, FRAME, ERROR, *_COLUMNS), path)
     if not (table[ERROR] == "").any():
         raise ToolkitError("no image could be scored", path=path, value=table[ERROR].iloc[0])
-    return DumpResult(folder, manifest, table, data=read_known(folder))
+    said = read_submission(folder)
+    return DumpResult(folder, manifest, table, said=said, data=read_known(folder))
 
 
 def read_dump_results(folders: Iterable[Path]) -> list[DumpResult]:

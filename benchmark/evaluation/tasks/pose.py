@@ -32,6 +32,7 @@ from benchmark.evaluation.frames import (
 from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup, circumstances
 from benchmark.evaluation.pose_predictions import PoseFolder, check_poses
 from benchmark.evaluation.results import ERROR, INDEX
+from benchmark.evaluation.submission import keep_submission, read_submission
 from benchmark.evaluation.tasks import pose_results, pose_table
 from benchmark.evaluation.values import check_folders, checked_label, folders_by_name
 from benchmark.methods.depth.full_size import view_of
@@ -166,6 +167,7 @@ class PoseRun(FrameRun[Methods]):
         if self.is_filed and isinstance(answers := self.answers(data), PoseFolder):
             keys = data.keys()
             check_poses(answers, [keys[index] for index in chosen])
+            read_submission(answers.folder)
 
     def make(self, device: str) -> Methods:
         if self.is_filed:
@@ -248,7 +250,8 @@ class PoseRun(FrameRun[Methods]):
         return answers | answers_one_by_one(method.estimate, _check_estimated, views)
 
     def after(self) -> None:
-        """Save pictures of a few frames, unless they exist."""
+        """Keep what the author of poses says of them; save pictures of a few frames."""
+        keep_submission(self.depth.folder if self.is_filed else None, self.folder)
         from benchmark.evaluation.tasks import pose_pictures as pictures
 
         there = self.folder / pictures.POSE_GALLERY / pictures.PICTURES_FILE

@@ -19,6 +19,7 @@ from benchmark.evaluation.results import (
     read_known,
     read_table,
 )
+from benchmark.evaluation.submission import Submission, read_submission
 from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
 from benchmark.metrics.pose import (
     BoxIoU,
@@ -100,7 +101,13 @@ def wanted_protocols(
 
 @dataclass(frozen=True, eq=False)
 class PoseResult(Result[PoseManifest]):
-    """A method on a split with one depth and fit; see `benchmark.evaluation.tasks.pose_table`."""
+    """A method on a split with one depth and fit; see `benchmark.evaluation.tasks.pose_table`.
+
+    Attributes:
+        said: what the author of poses in a folder says of them, if anything.
+    """
+
+    said: Submission | None = None
 
     @property
     def split(self) -> str:
@@ -115,6 +122,11 @@ class PoseResult(Result[PoseManifest]):
     @property
     def title(self) -> str:
         return f"{', '.join(self.name)} on {self.split}"
+
+    @property
+    def training_data(self) -> str:
+        """What the method was trained on; of poses in a folder as their author says."""
+        return self.manifest.training_data or (self.said.training_data if self.said else "")
 
     @property
     def given_truth(self) -> bool:
@@ -133,7 +145,8 @@ def read_pose_run(folder: Path) -> PoseResult:
     check_known(manifest.fit, known, "not a fit of poses", path=folder / POSE_MANIFEST, field="fit")
     table = read_table(folder / POSES)
     check_columns(table, COLUMNS, folder / POSES)
-    return PoseResult(folder, manifest, table, data=read_known(folder))
+    said = read_submission(folder)
+    return PoseResult(folder, manifest, table, said=said, data=read_known(folder))
 
 
 def read_pose_results(folders: Iterable[Path]) -> list[PoseResult]:

@@ -130,10 +130,18 @@ def _run_table(results: Sequence[DumpResult]) -> Table:
                 Cell(text=r.manifest.label),
                 Cell(text=f"{r.place}, {r.manifest.setup.camera}"),
                 *counted(r.frames, r.missing, r.failed),
-                Cell(text=f"{r.manifest.setup.contacts} contacts"),
+                Cell(text=", ".join([f"{r.manifest.setup.contacts} contacts", *_told(r)])),
                 *machine("", r.manifest.hardware, r.manifest.version_of_tool),
             ]
         )
         for r in results
     ]
     return Table(columns=run_columns("grasps", "split, camera"), rows=rows)
+
+
+def _told(result: DumpResult) -> list[str]:
+    """What the author of the grasps says of them."""
+    if result.said is None:
+        return []
+    trained = result.said.training_data
+    return [*([f"trained on {trained}"] if trained else []), *filter(None, [result.said.hardware])]

@@ -186,7 +186,7 @@ def run_table(results: Sequence[pose_results.PoseResult]) -> Table:
         settings = [f"{k}={v}" for k, v in sorted(s.settings.items()) if k != "fit"]
         settings += [f"{s.depth}.{k}={v}" for k, v in sorted(s.depth_settings.items())]
         depth = [f"depth {s.depth_preset}"] if s.depth_preset else []
-        trained = [f"trained on {t}" for t in (m.training_data, m.depth_training_data) if t]
+        trained = [f"trained on {t}" for t in (result.training_data, m.depth_training_data) if t]
         weights = [w[:12] for w in (s.weights_sha256, s.depth_weights_sha256) if w]
         cells = [
             *(Cell(text=text) for text in (m.label, m.depth_label, m.fit, result.split)),

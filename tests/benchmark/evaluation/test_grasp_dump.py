@@ -127,6 +127,9 @@ def test_dumps_stand_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[s
         write_grasps(tmp_path / name / "scene_0100/realsense/0000.npy", from_above(x))
         if name != "half":
             write_grasps(tmp_path / name / "scene_0165/realsense/0000.npy", from_above(x))
+        if name == "good":
+            said = {"training_data": "GraspNet, kinect", "citation": "@misc{good}"}
+            (tmp_path / name / "submission.json").write_text(json.dumps(said))
         run(capsys, "--dump", tmp_path / name, "--data", root, "--out", out)
     assert report([str(out)]) == 0
     text = capsys.readouterr().out
@@ -136,6 +139,8 @@ def test_dumps_stand_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[s
     page = (out / "report.html").read_text()
     assert "GraspNet test, realsense, exact contacts: 2 images" in page
     assert "Highest AP: good" in page
+    assert "exact contacts, trained on GraspNet, kinect" in page
+    assert "@misc{good}" in (out / "citations.bib").read_text()
     table = pd.read_csv(out / "graspnet.csv")
     alone = np.mean(1 / np.arange(1, 51))
     assert table.set_index("grasps").loc["good", "ap"] == pytest.approx(alone)

@@ -152,3 +152,21 @@ def test_what_names_no_folder_is_one_line(
         assert bench(root, tmp_path / "out", *words) == 1
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert told in line
+
+
+def test_what_an_author_says_of_poses_is_shown(
+    root: Path, tmp_path: Path, poses: Poses, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = write(tmp_path / "mine", poses, "json"), tmp_path / "out"
+    said = {"training_data": "CAMERA25", "citation": "@misc{mine, title = {My poses}}"}
+    (folder / "submission.json").write_text(json.dumps(said))
+    words = ["--method", f"mine={folder}", "--no-gallery"]
+    assert bench(root, out, *words) == 0
+    assert PROGRAM.main([str(out)]) == 0
+    assert "trained on CAMERA25" in (out / "report.html").read_text()
+    assert "My poses" in (out / "citations.bib").read_text()
+    (folder / "submission.json").write_text(json.dumps({"training": "CAMERA25"}))
+    capsys.readouterr()
+    assert bench(root, tmp_path / "other", *words) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "submission.json" in line and "training" in line
