@@ -20,18 +20,15 @@ runs do not give the same weights. Weights are chosen afterwards by validation f
 
 import argparse
 import json
-import lzma
 import queue
 import sys
 import threading
 import time
-import zlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -45,9 +42,7 @@ from benchmark.training.depth import compactdr_training
 from benchmark.training.depth.depth_catalogue import COMPACTDR_TRAINING
 from benchmark.training.module import RestorerTraining
 from benchmark.training.step import Batch, ModelInput, StepInfo, model_input
-
-_PER_M = 1e4  # steps of the stored inverse depth: 0.05 mm at 0.7 m
-_QUALITY = 90  # of the stored colour
+from tools.gpu_parts import read_part, write_parts
 
 MASKS, ALL = "encoder", ""  # phases, and the share of the time of the first
 _MASKS_SHARE = 0.3
@@ -76,102 +71,10 @@ def main() -> None:
     one = commands.add_parser("check")
     one.add_argument("--weights", type=Path, required=True)
     options = parser.parse_args()
-    {"prepare": prepare, "train": train, "check": check}[options.command](options)
-
-
-def prepare(options: argparse.Namespace) -> None:
-    """Write the frames of packs, shuffled, as parts of at most some megabytes."""
-    from benchmark.training.packed_frames import PackedFrames
-
-    frames = PackedFrames(options.data)
-    order = np.random.default_rng(0).permutation(len(frames))
-    options.folder.mkdir(parents=True, exist_ok=True)
-    part: list[dict[str, bytes]] = []
-    size, number = 0, 0
-
-    def write() -> None:
-        nonlocal part, size, number
-        blobs = [blob for record in part for blob in record.values()]
-        ends = np.cumsum([len(blob) for blob in blobs])
-        path = options.folder / f"part-{number:02d}.npz"
-        np.savez(
-            path,
-            size=np.array(frames.size),
-            names=np.array(list(part[0])),
-            ends=ends,
-            bytes=np.frombuffer(b"".join(blobs), np.uint8),
-        )
-        print(f"{path}: {len(part)} frames, {path.stat().st_size / 1e6:.1f} MB")
-        part, size, number = [], 0, number + 1
-
-    with ThreadPoolExecutor(2) as pool:
-        for record in pool.map(lambda i: _stored(frames.record(int(i))), order):
-            length = sum(map(len, record.values()))
-            if part and size + length > options.most_mb * 1e6:
-                write()
-            part.append(record)
-            size += length
-    write()
-
-
-def _stored(record: Any) -> dict[str, bytes]:
-    """A frame's record as small files."""
-    color = record["color"][..., ::-1]
-    same = np.array_equal(record["raw"], record["true"])
-    return {
-        "color": cv2.imencode(".webp", color, [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])[1].tobytes(),
-        "true": _packed(record["true"]),
-        "raw": b"" if same else _packed(record["raw"]),
-        "mask": zlib.compress(record["mask"].tobytes(), 9),
-        "materials": record["materials"].tobytes(),
-        "K": record["K"].tobytes(),
-    }
-
-
-def _packed(depth: np.ndarray) -> bytes:
-    """Depth as second differences of its inverse, which are nearly 0 on planes."""
-    depth = depth.astype(np.float64)
-    inverse = np.where(depth > 0, np.rint(_PER_M / np.maximum(depth, 0.16)), 0).astype(np.int64)
-    apart = np.diff(np.diff(inverse, axis=0, prepend=0), axis=1, prepend=0)
-    numbers = ((apart << 1) ^ (apart >> 63)).astype("<u4")  # small ones whatever their sign
-    return lzma.compress(numbers.view(np.uint8).reshape(-1, 4).T.tobytes(), preset=6)
-
-
-def _unpacked(data: bytes, h: int, w: int) -> np.ndarray:
-    found = np.frombuffer(lzma.decompress(data), np.uint8).reshape(4, -1)
-    numbers = np.ascontiguousarray(found.T).view("<u4").astype(np.int64).reshape(h, w)
-    apart = (numbers >> 1) ^ -(numbers & 1)
-    inverse = apart.cumsum(axis=1).cumsum(axis=0)
-    return np.where(inverse > 0, _PER_M / np.maximum(inverse, 1), 0).astype(np.float32)
-
-
-def read_part(path: Path) -> dict[str, np.ndarray]:
-    """Arrays over the frames of a part: color, raw, true, mask, materials, K."""
-    with np.load(path) as file:
-        (w, h), names, ends = file["size"].tolist(), file["names"].tolist(), file["ends"]
-        data = file["bytes"].tobytes()
-    begins = np.concatenate([[0], ends[:-1]])
-    blobs = [data[a:b] for a, b in zip(begins, ends, strict=True)]
-    rows = [
-        dict(zip(names, blobs[i : i + len(names)], strict=True))
-        for i in range(0, len(blobs), len(names))
-    ]
-
-    def frame(row: dict[str, bytes]) -> dict[str, np.ndarray]:
-        color = cv2.imdecode(np.frombuffer(row["color"], np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-        true = _unpacked(row["true"], h, w)
-        return {
-            "color": color,
-            "true": true,
-            "raw": _unpacked(row["raw"], h, w) if row["raw"] else true,
-            "mask": np.frombuffer(zlib.decompress(row["mask"]), np.uint8).reshape(h, w),
-            "materials": np.frombuffer(row["materials"], np.uint8),
-            "K": np.frombuffer(row["K"], np.float32).reshape(3, 3),
-        }
-
-    with ThreadPoolExecutor() as pool:
-        found = list(pool.map(frame, rows))
-    return {name: np.stack([one[name] for one in found]) for name in found[0]}
+    if options.command == "prepare":
+        write_parts(options.folder, options.data, options.most_mb)
+    else:
+        {"train": train, "check": check}[options.command](options)
 
 
 class Frames:
@@ -369,7 +272,8 @@ def train(options: argparse.Namespace) -> None:
     torch.manual_seed(0)
     network = CompactDRNetwork(PRESETS["compact"])
     network.load_state_dict({n: t.float() for n, t in read_weights(options.weights).items()})
-    network.to(device, memory_format=torch.channels_last).train()
+    network.to(device).train()
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in its stub
     own = network.state_dict()
     mean = {name: tensor.clone() for name, tensor in own.items()}
     frames = Frames(options.parts, device)
@@ -455,7 +359,7 @@ def check(options: argparse.Namespace) -> None:
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     network = CompactDRNetwork(PRESETS["compact"])
     network.load_state_dict({n: t.float() for n, t in read_weights(options.weights).items()})
-    network.to(device, memory_format=torch.channels_last).eval()
+    network.to(device).eval()
 
     def timed(run: Callable[[], Any], rounds: int) -> float:
         for _ in range(3):
@@ -473,7 +377,7 @@ def check(options: argparse.Namespace) -> None:
         for (w, h), count in (((320, 180), 1), ((320, 240), 1), ((320, 180), 16)):
             color = torch.rand(count, 3, h, w, device=device)
             depth = 0.5 + torch.rand(count, 1, h, w, device=device)
-            speed = count * timed(lambda c=color, d=depth: network(c, d), 20)
+            speed = count * timed(partial(network, color, depth), 20)
             print(f"{w}x{h}, {count} together: {speed:.1f} frames/s on {device.type}", flush=True)
 
 

@@ -12,31 +12,28 @@ from training_set import SPLIT, packed, write_scenes
 
 from benchmark.methods.weights import read_weights
 from benchmark.training.packed_frames import PackedFrames
+from tools import gpu_run as program
+from tools.gpu_parts import read_part
 
-TOOLS = Path(__file__).resolve().parents[3] / "tools"
 SHIPPED = Path("benchmark/weights/compactdr-compact.safetensors")
 
 
 @pytest.fixture
-def gpu_run(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-    import gpu_run
-
+def train_elsewhere(monkeypatch):
     def run(*arguments: object) -> None:
         monkeypatch.setattr(sys, "argv", ["gpu_run.py", *map(str, arguments)])
-        gpu_run.main()
+        program.main()
 
-    yield gpu_run, run
-    sys.modules.pop("gpu_run")
+    return run
 
 
-def test_parts_hold_the_frames(tmp_path, gpu_run) -> None:
-    module, run = gpu_run
+def test_parts_hold_the_frames(tmp_path, train_elsewhere) -> None:
+    run = train_elsewhere
     pack = packed(tmp_path / "pack", write_scenes(tmp_path / "data"), size=(48, 32))
     run("prepare", tmp_path / "parts", "--data", pack, "--most-mb", 0.02)
     parts = sorted((tmp_path / "parts").glob("part-*.npz"))
     assert len(parts) > 1
-    read = [module.read_part(part) for part in parts]
+    read = [read_part(part) for part in parts]
     found = {name: np.concatenate([one[name] for one in read]) for name in read[0]}
     frames = PackedFrames([pack])
     order = np.random.default_rng(0).permutation(len(frames))
@@ -55,8 +52,8 @@ def test_parts_hold_the_frames(tmp_path, gpu_run) -> None:
 
 
 @pytest.mark.slow
-def test_it_trains_what_arrives(tmp_path, gpu_run) -> None:
-    _, run = gpu_run
+def test_it_trains_what_arrives(tmp_path, train_elsewhere) -> None:
+    run = train_elsewhere
     pack = packed(tmp_path / "pack", write_scenes(tmp_path / "data"), size=(128, 96))
     run("prepare", tmp_path / "parts", "--data", pack)
     (tmp_path / "parts" / "part-00.npz.done").touch()
