@@ -38,19 +38,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmark.methods.depth.compactdr import PRESETS, CompactDRNetwork
 from benchmark.methods.weights import read_weights, save_weights
 from benchmark.training.config import TrainConfig, seed_of
-from benchmark.training.depth import compactdr_training
+from benchmark.training.depth.compactdr_training import compactdr_step
 from benchmark.training.depth.depth_catalogue import COMPACTDR_TRAINING
 from benchmark.training.module import RestorerTraining
 from benchmark.training.step import Batch, ModelInput, StepInfo, model_input
 from tools.gpu_parts import read_part, write_parts
 
-MASKS, ALL = "encoder", ""  # phases, and the share of the time of the first
-_MASKS_SHARE = 0.3
-_SIZES = ("320x180", "320x180", "320x240", "256x192", "224x126", "192x256")
+# cuDNN compiles kernels for each size, which takes 20 to 40 s on an H200.
+_SIZES = ("320x180", "320x180", "256x192")
 _RATE, _ENCODER_RATE, _DECAY, _WARMUP = 1.5e-3, 0.2, 0.01, 200
 _LONGEST_GRADIENT = 5.0
 _MEAN = 0.999  # of the running mean of weights
 _SAVED_S = 120.0
+_LOGGED = 200  # steps
 _AHEAD = 3  # augmented batches that wait
 
 
@@ -183,16 +183,12 @@ class Augmented(threading.Thread):
 
 
 class Step:
-    """Gradients of a phase: of plain steps, or replayed for each size of frames."""
+    """Gradients of all parts: of plain steps, or replayed for each size of frames."""
 
-    def __init__(self, network: CompactDRNetwork, loss: Any, phase: str, frames: Frames) -> None:
-        self.network, self.loss, self.info = network, loss, StepInfo(phase)
+    def __init__(self, network: CompactDRNetwork, loss: Any, frames: Frames) -> None:
+        self.network, self.loss = network, loss
         self.cuda, self.lock = frames.device.type == "cuda", frames.lock
-        network.requires_grad_(True)
-        names = compactdr_training.LEARNING[phase] if phase else None
-        self.parameters = [
-            p for n, p in network.named_parameters() if names is None or n.split(".")[0] in names
-        ]
+        self.parameters = list(network.parameters())
         self.gradients = [torch.zeros_like(p) for p in self.parameters]
         self.graphs: dict[tuple[int, ...], tuple[Any, ModelInput, Tensor]] = {}
         self.pool: Any = None
@@ -203,7 +199,7 @@ class Step:
         torch._foreach_zero_(self.gradients)
         kind = torch.bfloat16
         with torch.autocast("cuda" if self.cuda else "cpu", kind, self.cuda, cache_enabled=False):
-            loss = compactdr_training.compactdr_step(self.network, self.loss, inputs, self.info)
+            loss = compactdr_step(self.network, self.loss, inputs, StepInfo())
         loss.total.backward()
         return loss.total.detach()
 
@@ -264,7 +260,6 @@ def train(options: argparse.Namespace) -> None:
     if cuda:
         torch.backends.cuda.matmul.allow_tf32 = True
         torch.backends.cudnn.allow_tf32 = True
-        torch.backends.cudnn.benchmark = True
         print(torch.cuda.get_device_name(), torch.__version__, flush=True)
     minutes, batch = options.minutes, 6 if options.small else options.batch
     options.out.mkdir(parents=True, exist_ok=True)
@@ -282,43 +277,35 @@ def train(options: argparse.Namespace) -> None:
     module = RestorerTraining(config, network, COMPACTDR_TRAINING.step, loss, str)
     augmented = Augmented(module, frames, batch)
     augmented.start()
-    saved, rows, number = time.monotonic(), [], 0
+    saved, number = time.monotonic(), 0
     log = (options.out / "log.txt").open("w")
-    for phase, first, last in ((MASKS, 0.0, _MASKS_SHARE), (ALL, _MASKS_SHARE, 1.0)):
-        step = Step(network, loss, phase, frames)
-        optimizer = _optimizer(network, step.parameters, cuda)
-        for count, inputs in enumerate(_batches(augmented)):
-            share = (time.monotonic() - begin) / (60 * minutes)
-            if share >= last:
-                break
-            within = (share - first) / (last - first)
-            rate = _RATE * min(1.0, (count + 1) / _WARMUP) * max(1 - within, 0.0)
-            for group in optimizer.param_groups:
-                group["lr"] = rate * group["of_rate"]
-            total = step(inputs)
-            torch.nn.utils.clip_grad_norm_(step.parameters, _LONGEST_GRADIENT, foreach=True)
-            optimizer.step()
-            number += 1
-            kept = min(_MEAN, (1 + number) / (10 + number))
-            with torch.no_grad():
-                torch._foreach_lerp_([*mean.values()], [*own.values()], 1 - kept)
-            if number % 100 == 0 or options.small:
-                value = float(total)
-                if not np.isfinite(value):
-                    raise SystemExit(f"step {number}: the loss is not a number")
-                rows.append(value)
-                if number % 200 == 0 or options.small:
-                    at = time.monotonic() - begin
-                    line = f"{at:6.1f} s, step {number}, {phase or 'all'}: loss {np.mean(rows):.4f}"
-                    line += f", {number * batch / at:.0f} samples/s, {augmented.ready.qsize()} wait"
-                    print(line, file=log, flush=True)
-                    print(line, flush=True)
-                    rows = []
-            if time.monotonic() - saved > _SAVED_S:
-                saved = time.monotonic()
-                _save(mean, options.out / f"mean-{number:06d}.safetensors")
-        for p in network.parameters():
-            p.grad = None
+    step = Step(network, loss, frames)
+    optimizer = _optimizer(network, cuda)
+    for inputs in _batches(augmented):
+        share = (time.monotonic() - begin) / (60 * minutes)
+        if share >= 1:
+            break
+        rate = _RATE * min(1.0, (number + 1) / _WARMUP) * (1 - share)
+        for group in optimizer.param_groups:
+            group["lr"] = rate * group["of_rate"]
+        total = step(inputs)
+        torch.nn.utils.clip_grad_norm_(step.parameters, _LONGEST_GRADIENT, foreach=True)
+        optimizer.step()
+        number += 1
+        kept = min(_MEAN, (1 + number) / (10 + number))
+        with torch.no_grad():
+            torch._foreach_lerp_([*mean.values()], [*own.values()], 1 - kept)
+        if number % _LOGGED == 0 or options.small:
+            if not np.isfinite(value := float(total)):
+                raise SystemExit(f"step {number}: the loss is not a number")
+            at = time.monotonic() - begin
+            line = f"{at:6.1f} s, step {number}: loss {value:.4f}, {number * batch / at:.0f} "
+            line += f"samples/s, {augmented.ready.qsize()} wait"
+            print(line, file=log, flush=True)
+            print(line, flush=True)
+        if time.monotonic() - saved > _SAVED_S:
+            saved = time.monotonic()
+            _save(mean, options.out / f"mean-{number:06d}.safetensors")
     augmented.stop()
     _save(mean, options.out / "mean.safetensors")
     at = time.monotonic() - begin
@@ -339,12 +326,11 @@ def _batches(augmented: Augmented) -> Iterator[ModelInput]:
         yield made
 
 
-def _optimizer(network: CompactDRNetwork, parameters: list[Any], cuda: bool) -> Any:
-    encoder = {id(p) for p in network.encoder.parameters()}
-    groups = [
-        {"params": [p for p in parameters if id(p) in encoder], "of_rate": _ENCODER_RATE},
-        {"params": [p for p in parameters if id(p) not in encoder], "of_rate": 1.0},
-    ]
+def _optimizer(network: CompactDRNetwork, cuda: bool) -> Any:
+    encoder = list(network.encoder.parameters())
+    own = {id(p) for p in encoder}
+    others = [p for p in network.parameters() if id(p) not in own]
+    groups = [{"params": encoder, "of_rate": _ENCODER_RATE}, {"params": others, "of_rate": 1.0}]
     return torch.optim.AdamW(groups, lr=_RATE, weight_decay=_DECAY, fused=cuda)
 
 

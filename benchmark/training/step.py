@@ -1,6 +1,7 @@
 """Inputs and results of training steps: batches, losses, batch-norm statistics; protocols."""
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import torch
@@ -42,6 +43,20 @@ class Loss(NamedTuple):
 
     total: Tensor
     parts: dict[str, Tensor]
+
+
+def constant(values: tuple[float, ...], like: Tensor) -> Tensor:
+    """Numbers as a tensor of the type and on the device of `like`.
+
+    It is made once: a graph of CUDA takes no numbers from the processor.
+    """
+    return _constant(values, like.dtype, like.device)
+
+
+@lru_cache(maxsize=64)
+def _constant(values: tuple[float, ...], kind: torch.dtype, on: torch.device) -> Tensor:
+    with torch.inference_mode(False):
+        return torch.tensor(values, dtype=kind, device=on)
 
 
 def object_weights(target: Target, objects: float) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import cross_entropy
 
 from benchmark.methods.torch_camera import points_of
-from benchmark.training.step import Loss
+from benchmark.training.step import Loss, constant
 
 NONE, OCCLUSION, CONTACT = 0, 1, 2  # classes of boundaries
 
@@ -69,7 +69,7 @@ def outlines_of(depth: Tensor, mask: Tensor, K: Tensor, gap: float) -> Outlines:
     normal = torch.linalg.cross(across, down, dim=1)
     length = normal.square().sum(dim=1, keepdim=True).sqrt()
     usable = (has_across & has_down)[:, None] & (length > _SMALLEST)
-    normal = normal * normal.new_tensor((-1.0, 1.0, 1.0)).reshape(1, 3, 1, 1)
+    normal = normal * constant((-1.0, 1.0, 1.0), normal).reshape(1, 3, 1, 1)
     normal = torch.where(usable, normal / length.clamp(min=_SMALLEST), 0.0)
     classes = torch.where(contact, CONTACT, NONE)
     classes = torch.where(unclear, IGNORED, classes)
@@ -190,7 +190,7 @@ class ClearGraspLoss:
         return Loss(total, {name: part.detach() for name, part in parts.items()})
 
     def _of_boundaries(self, answers: Tensor, classes: Tensor) -> Tensor:
-        weight = answers.new_tensor((1.0, self.boundary, self.boundary))
+        weight = constant((1.0, self.boundary, self.boundary), answers)
         total = cross_entropy(answers, classes, weight, ignore_index=IGNORED, reduction="sum")
         if self.reduce == "sum":
             return total

@@ -21,12 +21,11 @@ from benchmark.training.validation import DepthValidator, evaluating
 # they are.
 MASK, ENCODER, DEPTH = "mask", "encoder", "depth"
 
-LEARNING = {
+_LEARNING = {
     MASK: MASK_PARTS,
     ENCODER: ("encoder", *MASK_PARTS),
     DEPTH: DEPTH_PARTS,
 }
-"""Parts of the network that learn in each phase."""
 
 # Weights of classes of edges: none, occlusion, contact. Most pixels are of none.
 _EDGE_WEIGHTS = (1.0, 5.0, 5.0)
@@ -141,7 +140,7 @@ class CompactDRLoss:
         return entropy + (1 - (2 * both + 1) / (either + 1)).mean()
 
     def _of_edges(self, edges: Tensor, outlines: Outlines) -> Tensor:
-        weights = edges.new_tensor(_EDGE_WEIGHTS)
+        weights = step.constant(_EDGE_WEIGHTS, edges)
         classes = outlines.boundaries
         total = cross_entropy(edges, classes, weights, ignore_index=IGNORED, reduction="sum")
         known = classes != IGNORED
@@ -235,7 +234,7 @@ def compactdr_step(
     """The step of a network that answers with `Looked`, or before the phase `depth` with masks."""
     own, phase = cast(CompactDRNetwork, network), step_info.phase
     if phase:
-        own.train_parts(LEARNING[phase])
+        own.train_parts(_LEARNING[phase])
     on = inputs.color.device.type
     if phase in (MASK, ENCODER):
         masks = own.masks(inputs.color).float()

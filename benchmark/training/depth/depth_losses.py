@@ -12,9 +12,16 @@ from torch.nn.functional import binary_cross_entropy, conv2d, max_pool2d, pad
 
 from benchmark.methods.network import Prediction
 from benchmark.methods.torch_camera import points_of
-from benchmark.training.step import Loss, Target, mean_where, object_weights, weighted_mean
+from benchmark.training.step import (
+    Loss,
+    Target,
+    constant,
+    mean_where,
+    object_weights,
+    weighted_mean,
+)
 
-_SOBEL = ((-1.0, 0.0, 1.0), (-2.0, 0.0, 2.0), (-1.0, 0.0, 1.0))
+_SOBEL = (-1.0, 0.0, 1.0, -2.0, 0.0, 2.0, -1.0, 0.0, 1.0)
 
 _SMALLEST = 1e-8  # square metres: keeps the length of a cross product from being 0
 
@@ -41,7 +48,7 @@ def sobel(images: Tensor) -> Tensor:
     Returns:
         (b, 2, h, w).
     """
-    right = images.new_tensor(_SOBEL)
+    right = constant(_SOBEL, images).reshape(3, 3)
     return conv2d(images, torch.stack([right, right.T])[:, None], padding=1)
 
 
