@@ -38,6 +38,7 @@ from benchmark.methods.registry import MethodOptions, make_restorer  # noqa: E40
 from benchmark.metrics.depth.holes import COLUMNS  # noqa: E402
 from benchmark.metrics.protocols.protocol import get_protocol  # noqa: E402
 from benchmark.metrics.protocols.score import score_frame  # noqa: E402
+from benchmark.restoring.options import default_where  # noqa: E402
 from benchmark.restoring.recordings import open_recordings  # noqa: E402
 from benchmark.restoring.restorer import Restorer  # noqa: E402
 from std_toolkit.importers.options import ImageOptions  # noqa: E402
@@ -76,7 +77,9 @@ def rows_of(name: str, restorer: MethodRestorer, frame: DepthFrame) -> dict[str,
     return found
 
 
-def print_holes(source: Path, made: dict[str, MethodRestorer], limit: int) -> None:
+def print_holes(
+    source: Path, made: dict[str, MethodRestorer], limit: int, by_default: bool
+) -> None:
     """Errors in holes cut into the depth of a recording."""
     with tempfile.TemporaryDirectory() as folder:
         (recording,) = open_recordings([source], ImageOptions(), Path(folder))
@@ -85,7 +88,8 @@ def print_holes(source: Path, made: dict[str, MethodRestorer], limit: int) -> No
         frames = [(f.name, *f.read(), f.camera) for f in chosen]
     rows = []
     for name, method in made.items():
-        restore = Restorer(method, MethodOptions()).restore_view
+        where = default_where(name) if by_default else "everywhere"
+        restore = Restorer(method, MethodOptions(), where=where).restore_view
         found = holes_elsewhere(lambda *view, restore=restore: restore(*view).depth, frames)
         rows.append({"method": name, **{c.title: c.factor * found[c.name] for c in COLUMNS}})
     print(f"\n{source}: {int(found['frames'])} of {count} frames with depth to cut holes into")
@@ -98,6 +102,7 @@ def main() -> None:
     parser.add_argument("--recordings", nargs="+", type=Path, default=[])
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--limit", type=int, default=60)
+    parser.add_argument("--by-default", action="store_true", help="SwinDRNet as std-restore has it")
     parser.add_argument("--methods", nargs="+", default=[*FILLINGS, *NETWORKS])
     args = parser.parse_args()
     made = {}
@@ -108,7 +113,7 @@ def main() -> None:
         given = own if name in NETWORKS else None
         made[name] = make_restorer(name, MethodOptions(preset="compact", weights=given or None))
     for recording in args.recordings:
-        print_holes(recording, made, args.limit)
+        print_holes(recording, made, args.limit, args.by_default)
     for test in args.tests:
         title, _, where = test.partition("=")
         split, _, root = where.partition(":")

@@ -12,7 +12,7 @@ from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
 
 Backend = Literal["auto", "onnx", "torch"]
-Where = Literal["everywhere", "glass"]
+Where = Literal["everywhere", "glass", "glass-and-holes"]
 DepthFormat = Literal["same", "png", "exr"]
 
 
@@ -31,14 +31,26 @@ class MethodChoice:
     """NAME=VALUE, the method's own settings"""
     size: tuple[int, int] | None = field(default=None, metadata={"size": True})
     """image size that the network works at (default: its own)"""
-    where: Where = "everywhere"
-    """what may be changed: everywhere, or only where glass or metal is found (by the method, or by
-    compactdr); all else stays the sensor's, holes too"""
+    where: Where | None = None
+    """where the method answers: everywhere; glass: only where glass or metal is found (by the
+    method, or by compactdr), all else stays the sensor's, holes too; glass-and-holes: only where
+    compactdr finds glass or metal and doubts the sensor, all else is compactdr's (default:
+    glass-and-holes for swindrnet, else everywhere)"""
     max_error_m: Annotated[float, msgspec.Meta(gt=0)] | None = field(
         default=None, metadata={"option": "max-error", "factor": 1000}
     )
     """leave out (0) where the expected error is larger, millimetres; for methods with a spread,
     such as compactdr"""
+
+    @property
+    def answers(self) -> Where:
+        """Where the method answers, as given or by default."""
+        return self.where or default_where(self.method)
+
+
+def default_where(method: str) -> Where:
+    """Where a method answers unless that is stated."""
+    return "glass-and-holes" if method == "swindrnet" else "everywhere"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,7 +40,7 @@ class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         method, preset, settings: the method and its options.
         weights_sha256: hash of the weight file (128-bit BLAKE2b, as in run.json of `std-bench`).
         size: (width, height) that the method works at; empty for the camera's.
-        where: what may be changed, `everywhere` or on `glass` alone.
+        where: where the method answers; see `Restorer`.
         max_error_m: expected error from which on depth is left out, metres; None for no limit.
         multi_view: whether the frames are fused (`multi_view`), or restored alone.
         backend: `onnx` or `torch` for networks, empty for methods without weights.
@@ -104,7 +104,7 @@ def setup_of(
         depth_format=depth_format,
         points=points,
         pictures=pictures,
-        where=choice.where,
+        where=choice.answers,
         max_error_m=choice.max_error_m,
     )
 

@@ -13,6 +13,7 @@ import benchmark
 from benchmark import Restorer
 from benchmark.cli.bench import main as bench
 from benchmark.cli.restore import main as restore
+from benchmark.methods.protocol import Restored
 from benchmark.restoring.onnx_export import made_up_views
 from benchmark.restoring.options import MethodChoice, RestoreOptions
 from std_toolkit.cli.command_options import UsageError, parse_options, words_of
@@ -175,6 +176,40 @@ def test_where_there_is_no_glass_the_sensor_stays(tmp_path):
     assert np.array_equal(found.depth[:, half:], sensor_depth()[:, half:])  # holes, too
     assert (found.depth[:, :half] > 0).all() and found.changed[:, :half].any()
     assert not found.changed[:, half:].any()
+
+
+def test_a_network_answers_where_glass_is_found_and_the_sensor_doubted(tmp_path):
+    """The finder, by itself, sees glass in the upper half, and trusts the sensor at its left."""
+    (tmp_path / "flat.py").write_text(SURE.replace("left + 0 * depth)", ")"))
+    shape = SIZE[::-1]
+    rows, columns = np.indices(shape)
+    glass, trusted = rows < shape[0] // 2, columns < shape[1] // 2
+
+    class Finder:
+        input_size, needs_mask = None, False
+
+        def restore(self, views):
+            filled = np.where(views[0].depth > 0, views[0].depth, 0.9).astype(np.float32)
+            trust = np.where(trusted, 0.9, 0.5).astype(np.float32)
+            return [Restored(filled, trust, None, glass.astype(np.float32))]
+
+    network = Restorer.load(f"{tmp_path}/flat.py:Sure", where="glass-and-holes")
+    network._finder = Finder()
+    found = network.restore(COLOR, sensor_depth(), K)
+    answered = glass & ~trusted
+    assert np.allclose(found.depth[answered & (sensor_depth() == 0)], 0.5, atol=1e-3)
+    holes = ~answered & (sensor_depth() == 0)
+    assert holes.any() and (found.depth[holes] > 0.6).mean() > 0.9
+    kept = ~answered & (sensor_depth() > 0)
+    assert np.array_equal(found.depth[kept], sensor_depth()[kept])
+
+
+def test_it_is_the_default_of_swindrnet_alone():
+    assert MethodChoice().answers == "glass-and-holes"
+    assert Restorer.load("swindrnet").where == "glass-and-holes"
+    assert Restorer.load("nearest").where == "everywhere"
+    assert MethodChoice(method="compactdr").answers == "everywhere"
+    assert MethodChoice(where="everywhere").answers == "everywhere"
 
 
 @pytest.mark.parametrize("given", ["10", "10mm", "1cm", "0.01m"])
