@@ -1,0 +1,223 @@
+"""`std-bench bakeoff`: which depth restorer to use for a camera, by a user's labelled recordings.
+
+Plans runs of `std-bench depth` on copied frames, has `bakeoff_verdict` judge their rows, and writes
+the conclusion above the usual report.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from benchmark.evaluation.config import DepthConfig
+from benchmark.evaluation.evaluate import score_config
+from benchmark.evaluation.query_options import BakeoffOptions
+from benchmark.evaluation.tasks.depth_results import RunResult
+from benchmark.evaluation.tasks.depth_speed import CPU_CORES, STANDARD
+from benchmark.evaluation.values import is_folder
+from benchmark.methods.registry import COMPACT, restorers, shipped_file
+from benchmark.metrics.depth import harm
+from benchmark.metrics.protocols.protocol import get_protocol
+from benchmark.recipes.bakeoff_scenes import SCENES, StagedScenes, stage_scenes
+from benchmark.recipes.bakeoff_verdict import (
+    MATERIALS,
+    RAW,
+    Value,
+    Verdict,
+    by_material,
+    conclusion,
+    judge,
+)
+from benchmark.report.leaderboard import METRICS, make_board
+from benchmark.report.parts.depth import board_sections
+from std_toolkit import __version__
+from std_toolkit.errors import ToolkitError
+from std_toolkit.html.page import Block, Bullets, Page, Paragraph, Section
+from std_toolkit.html.page import Verdict as Head
+from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.io.atomic import write_bytes_atomic
+
+PAGE, RESULTS = "bakeoff.html", "results"
+PROTOCOL = "strict"
+_FILLING = ("nearest", "colorization")
+
+
+@dataclass(frozen=True)
+class Bakeoff:
+    """Outcome of `bakeoff`.
+
+    Attributes:
+        verdict: which method to use.
+        page: the page.
+        failed: an error line for each run that has no results, by title.
+        notes: what the frames are and what the conclusion rests on.
+    """
+
+    verdict: Verdict
+    page: Path
+    failed: dict[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+    @property
+    def lines(self) -> list[str]:
+        """The conclusion and what it rests on, for a terminal."""
+        return [
+            conclusion(self.verdict),
+            *by_material(self.verdict),
+            *self.notes,
+            str(self.page),
+        ]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """All figures, in metres and shares, with the words."""
+        return {**asdict(self.verdict), "conclusion": conclusion(self.verdict), "notes": self.notes}
+
+
+def methods_at_hand() -> list[str]:
+    """Return the methods that need nothing of the user: filling, and networks with weights."""
+    networks = [name for name in restorers.names() if shipped_file(name, COMPACT).is_file()]
+    return [*_FILLING, *networks]
+
+
+def bakeoff(options: BakeoffOptions) -> Bakeoff:
+    """Score what is not scored yet, decide, and write the page.
+
+    Raises:
+        ToolkitError: a recording without truth, a method that does not exist, or no method ran.
+    """
+    scenes = stage_scenes(options.recordings, options.out, options.limit)
+    scored = score_config(_config(options, scenes))
+    results: list[RunResult] = list(scored.results)
+    failed = dict(scored.campaign.failed)
+    if not results:
+        raise ToolkitError(next(iter(failed.values())), path=options.out / RESULTS)
+    grid, _ = get_protocol(PROTOCOL).main
+    tables = pd.concat([result.table for result in results], ignore_index=True)
+    costs = {result.manifest.label: cost(result) for result in results}
+    verdict = judge(tables[tables["grid"] == grid], scenes.views, costs)
+    done = Bakeoff(verdict, options.out / PAGE, failed, _notes(verdict, scenes))
+    write_bytes_atomic(done.page, _html(done, results).encode())
+    return done
+
+
+def _config(options: BakeoffOptions, scenes: StagedScenes) -> DepthConfig:
+    """The runs as `std-bench depth` has them."""
+    methods = [RAW, *(methods_at_hand() if options.at_hand else ()), *options.methods]
+    vendor = {f"vendor.{name}": where for name, where in scenes.vendor.items()}
+    folders = [m.partition("=")[0] for m in options.methods if is_folder(m)]
+    units = list(options.depth_units)
+    if folders:  # those without a name are of the user's folders, not of the vendor's
+        named = [u for u in units if "=" in u]
+        plain = [u for u in units if "=" not in u]
+        units = [*(f"{name}={u}" for u in plain for name in folders), *named]
+    return DepthConfig(
+        methods=tuple(dict.fromkeys([*methods, *(f"{n}={w[0]}" for n, w in vendor.items())])),
+        splits=(SCENES,),
+        data=(str(scenes.root),),
+        protocols=(PROTOCOL,),
+        out=options.out / RESULTS,
+        preset=options.preset,
+        weights=options.weights,
+        settings=options.settings,
+        devices=options.devices,
+        precision=options.precision,
+        compile=options.compile,
+        gallery=options.gallery,
+        depth_units=(*units, *(f"{name}={unit!r}" for name, (_, unit) in vendor.items())),
+        speed=options.speed,
+        jobs=options.jobs,
+    )
+
+
+def cost(result: RunResult) -> str:
+    """Words on the time that a method takes; empty where nobody measured or said it."""
+    speed, said = result.speed, result.said
+    if speed is not None and speed.standard_s is not None:
+        width, height = STANDARD
+        return f"{speed.standard_s:.2g} s a frame of {width}x{height} on {CPU_CORES} cores"
+    if speed is not None:
+        return (
+            f"{1 / speed.frames_per_s:.2g} s a frame of {speed.width}x{speed.height} on "
+            f"{speed.hardware}"
+        )
+    if said is not None and said.seconds_per_frame:
+        return f"{said.seconds_per_frame:.2g} s a frame, as its author says"
+    return ""
+
+
+def _notes(verdict: Verdict, scenes: StagedScenes) -> list[str]:
+    many = "" if verdict.scenes == 1 else "s"
+    notes = [f"{verdict.frames} frames of {verdict.scenes} scene{many}."]
+    if verdict.unit == "view":
+        notes.append(
+            f"Intervals are over {verdict.units} views: they hold for these objects in these "
+            "scenes, seen from elsewhere, not for other objects."
+        )
+    else:
+        notes.append(f"Intervals are over {verdict.units} scenes.")
+    if scenes.around:
+        notes.append(
+            f"Truth of what is around the objects ({scenes.around:.0%} of its pixels): the median "
+            "of other views, where at least three agree within max(3 mm, 1 %)."
+        )
+    notes += [f"{name} does not compete: {why}." for name, why in verdict.left_out.items()]
+    return notes
+
+
+def _html(done: Bakeoff, results: Sequence[RunResult]) -> str:
+    verdict = done.verdict
+    blocks: list[Block] = [
+        Bullets([Paragraph(text) for text in by_material(verdict)]),
+        _table(verdict),
+        *(Paragraph(text) for text in done.notes),
+    ]
+    state = {"use": "pass", "undecided": ""}.get(verdict.kind, "fail")
+    word = {"use": "use", "undecided": "undecided"}.get(verdict.kind, "with care")
+    board = make_board(results, published=False)
+    return Page(
+        kind="Bake-off",
+        title="Which restorer for this camera?",
+        verdicts=[Head(conclusion(verdict), word, state)],
+        sections=[Section("answer", "What the frames tell", blocks), *board_sections(board)],
+        footer=f"std-toolkit {__version__}, `std-bench bakeoff`.",
+    ).html()
+
+
+def _table(verdict: Verdict) -> Table:
+    """Error on each material, harm and speed of each method, with intervals."""
+    rmse = METRICS[0]
+    shown = {name: ranking for name, ranking in verdict.rankings.items() if ranking is not None}
+    columns = [Column(heading="method", numeric=False)]
+    columns += [
+        Column(heading=f"RMSE, {MATERIALS[name]}", unit=rmse.unit, factor=rmse.factor, digits=1)
+        for name in shown
+    ]
+    columns += list(harm.COLUMNS)
+    columns.append(Column(heading="speed", numeric=False))
+    order = list(shown[verdict.main].errors) if verdict.main in shown else []
+    rows = []
+    for method in [*order, *verdict.left_out]:
+        cells = [Cell(text=method)]
+        errors = [ranking.errors.get(method) for ranking in shown.values()]
+        ties = [method in ranking.tied for ranking in shown.values()]
+        of_method = verdict.harms.get(method, {})
+        values = [*errors, *(of_method.get(column.name) for column in harm.COLUMNS)]
+        marks = [*ties, *([False] * len(harm.COLUMNS))]
+        for column, value, mark in zip(columns[1:-1], values, marks, strict=True):
+            cells.append(_cell(column, value, best=mark))
+        rows.append(Row([*cells, Cell(text=verdict.costs.get(method, "") or "not stated")]))
+    notes = [
+        "In brackets: 95 % intervals. Bold: the best, and what is not shown to be worse. Harm: "
+        "share of the depth that the sensor had right and the method made wrong."
+    ]
+    return Table(columns=columns, rows=rows, title="All methods", notes=notes, sortable=True)
+
+
+def _cell(column: Column, value: Value | None, *, best: bool) -> Cell:
+    if value is None:
+        return Cell(text="")
+    interval = (value.low, value.high)
+    return column.cell(value.mean, interval=interval, mark="best" if best else "")
