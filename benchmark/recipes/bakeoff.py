@@ -28,6 +28,7 @@ from benchmark.recipes.bakeoff_verdict import (
     Verdict,
     by_material,
     conclusion,
+    counted,
     judge,
 )
 from benchmark.report.leaderboard import METRICS, make_board
@@ -149,11 +150,10 @@ def cost(result: RunResult) -> str:
 
 
 def _notes(verdict: Verdict, scenes: StagedScenes) -> list[str]:
-    many = "" if verdict.scenes == 1 else "s"
-    notes = [f"{verdict.frames} frames of {verdict.scenes} scene{many}."]
+    notes = [f"{counted(verdict.frames, 'frame')} of {counted(verdict.scenes, 'scene')}."]
     if verdict.unit == "view":
         notes.append(
-            f"Intervals are over {verdict.units} views: they hold for these objects in these "
+            f"Intervals are over {counted(verdict.units, 'view')}: they hold for these objects in these "
             "scenes, seen from elsewhere, not for other objects."
         )
     else:

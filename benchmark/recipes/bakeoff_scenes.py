@@ -113,6 +113,7 @@ def stage_scenes(recordings: Sequence[Path], out: Path, limit: int) -> StagedSce
 
 def _sources(recordings: Sequence[Path]) -> dict[str, ToolkitScenes]:
     found: dict[str, ToolkitScenes] = {}
+    seen: set[Path] = set()
     for recording in recordings:
         paths = scene_folders(recording)
         if not paths:
@@ -122,6 +123,9 @@ def _sources(recordings: Sequence[Path]) -> dict[str, ToolkitScenes]:
                 hint="import and label it: `std-curate import`, `std-annotate`, `std-curate run`",
             )
         for path in paths:
+            if path.resolve() in seen:
+                raise ToolkitError("the recording is given twice", path=path)
+            seen.add(path.resolve())
             source = open_scenes(SCENES, path)
             if not len(source):
                 raise ToolkitError(

@@ -290,7 +290,7 @@ def _undecided(verdict: Verdict, ranking: Ranking) -> str:
         f" between {_listed(names)}: on {where} RMSE is "
         f"{ranking.errors[ranking.best].text(1e3, ' mm')} and "
         f"{ranking.errors[second].text(1e3, ' mm')}, a difference of "
-        f"{ranking.behind[second].text(1e3, ' mm')} over {ranking.units} {unit}s."
+        f"{ranking.behind[second].text(1e3, ' mm')} over {counted(ranking.units, unit)}."
     )
     if RAW in ranking.tied:
         text += " No method is shown to be better than the sensor's own depth."
@@ -300,6 +300,14 @@ def _undecided(verdict: Verdict, ranking: Ranking) -> str:
             f"{ranking.needed} {unit}s or more."
         )
     return f"{text} Record more scenes, or compare fewer methods."
+
+
+def counted(number: int, what: str) -> str:
+    """
+    >>> counted(1, "view"), counted(2, "view")
+    ('1 view', '2 views')
+    """
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _called(method: str) -> str:
@@ -338,7 +346,7 @@ def by_material(verdict: Verdict) -> list[str]:
     """A sentence for each kind of material that the frames show."""
     lines = []
     for name, ranking in verdict.rankings.items():
-        many = f"{ranking.frames} frames, {ranking.units} {verdict.unit}s"
+        many = f"{counted(ranking.frames, 'frame')}, {counted(ranking.units, verdict.unit)}"
         start = f"{MATERIALS[name].capitalize()} ({many}): "
         if not ranking.decided:
             lines.append(f"{start}undecided between {_listed([_called(t) for t in ranking.tied])}.")
