@@ -13,7 +13,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from benchmark.methods.protocol import GraspPlanner, PoseEstimator, Restorer
 from std_toolkit.errors import ToolkitError, check_known, missing_extra
-from std_toolkit.io.documents import digest_file
+from std_toolkit.io.documents import digest_file, digest_files, digest_of
 from std_toolkit.plugins import Registry
 
 T = TypeVar("T")
@@ -139,6 +139,10 @@ restorers: MethodRegistry[Restorer] = MethodRegistry(
         "dfnet": "benchmark.methods.depth.dfnet:DFNet",
         "two-branch": "benchmark.methods.depth.two_branch:TwoBranch",
         "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
+        "prompt-depth-anything": "benchmark.methods.depth.snapshot:PromptDepthAnything",
+        "depth-anything": "benchmark.methods.depth.snapshot:DepthAnything",
+        "depth-pro": "benchmark.methods.depth.snapshot:DepthPro",
+        "zoedepth": "benchmark.methods.depth.snapshot:ZoeDepth",
     },
     called="restore",
     has=("input_size", "needs_mask"),
@@ -325,7 +329,8 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
         options: options that the method was created with.
 
     Returns:
-        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); empty without a weight file.
+        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); of a folder, of its documents and
+        safetensors with their names; empty without weights.
     """
     if method is None:
         return ""
@@ -333,4 +338,9 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
     weights = getattr(method, "weights", None) or options.weights
     if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
         weights = shipped
-    return digest_file(weights) if isinstance(weights, Path) else ""
+    if not isinstance(weights, Path):
+        return ""
+    if weights.is_dir():
+        files = [p for s in ("*.json", "*.safetensors") for p in sorted(weights.glob(s))]
+        return digest_of(digest_files(weights, files), versioned=False)
+    return digest_file(weights)

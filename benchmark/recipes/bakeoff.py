@@ -153,8 +153,8 @@ def _notes(verdict: Verdict, scenes: StagedScenes) -> list[str]:
     notes = [f"{counted(verdict.frames, 'frame')} of {counted(verdict.scenes, 'scene')}."]
     if verdict.unit == "view":
         notes.append(
-            f"Intervals are over {counted(verdict.units, 'view')}: they hold for these objects in these "
-            "scenes, seen from elsewhere, not for other objects."
+            f"Intervals are over {counted(verdict.units, 'view')}: they hold for these objects in "
+            "these scenes, seen from elsewhere, not for other objects."
         )
     else:
         notes.append(f"Intervals are over {verdict.units} scenes.")
