@@ -79,7 +79,6 @@ def test_a_program_that_fails(code: str, told: str, tmp_path: Path) -> None:
     method = make_restorer(f"command:{sys.executable} {path}", options)
     with pytest.raises(ToolkitError) as caught:
         method.restore(views())
-    import re
 
     assert re.search(told, str(caught.value)), str(caught.value)
 
