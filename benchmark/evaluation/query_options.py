@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from benchmark.evaluation.config import Count, NetworkConfig, TaskConfig, check_lists
+from benchmark.evaluation.config import BenchJobs, Count, NetworkConfig, TaskConfig, check_lists
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
@@ -147,10 +147,13 @@ class BakeoffOptions(NetworkConfig):
     """the methods at hand (of those, raw alone)"""
     depth_units: tuple[str, ...] = field(default=(), metadata={"option": "depth-unit"})
     """[NAME=]UNIT of predictions in folders, as of `std-bench depth`"""
-    limit: Count = 48
+    limit: Count = 24
     """most frames, evenly spaced in each scene"""
+    gallery: bool = False
+    """pictures of a few frames"""
     speed: bool = True
-    """the time that the methods take"""
+    """processor time of a frame of 640x480"""
+    jobs: BenchJobs = field(default_factory=lambda: BenchJobs(engine="serial"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
