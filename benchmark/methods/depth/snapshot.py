@@ -156,10 +156,12 @@ class Snapshot(ABC):
     def _load(self, folder: Path) -> Any:
         try:
             from transformers import AutoModelForDepthEstimation
+            from transformers.utils.logging import disable_progress_bar
         except ImportError as error:
             raise ToolkitError(
                 "transformers is not installed", hint="pip install 'transformers>=5,<6'"
             ) from error
+        disable_progress_bar()
         try:
             model = AutoModelForDepthEstimation.from_pretrained(
                 folder, local_files_only=True, use_safetensors=True, trust_remote_code=False
