@@ -141,6 +141,9 @@ class BakeoffOptions(NetworkConfig):
         metadata={"option": "out", "writes": Writes("results", ("bakeoff.html", "results"))}
     )
     """folder of copied frames, results and the page"""
+    sprayed: tuple[Path, ...] = ()
+    """a recording of the same scene with its objects sprayed matt, for each recording in their
+    order: truth in place of labels; a board that was not moved lies in both (board.json)"""
     methods: tuple[str, ...] = field(default=(), metadata={"option": "method"})
     """further methods, as of `std-bench depth`: names, file.py:Class, NAME=DIR of predictions"""
     at_hand: bool = True

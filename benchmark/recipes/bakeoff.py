@@ -92,7 +92,7 @@ def bakeoff(options: BakeoffOptions) -> Bakeoff:
     Raises:
         ToolkitError: a recording without truth, a method that does not exist, or no method ran.
     """
-    scenes = stage_scenes(options.recordings, options.out, options.limit)
+    scenes = stage_scenes(options.recordings, options.out, options.limit, options.sprayed)
     scored = score_config(_config(options, scenes))
     results: list[RunResult] = list(scored.results)
     failed = dict(scored.campaign.failed)
@@ -179,10 +179,12 @@ def _notes(verdict: Verdict, scenes: StagedScenes) -> list[str]:
         )
     else:
         notes.append(f"Intervals are over {verdict.units} scenes.")
-    if scenes.around:
+    agree = "the median of other views, where at least three agree within max(3 mm, 1 %)"
+    if scenes.sprayed:
+        notes.append(f"Truth is of the sprayed scene: {agree}; errors of the camera count as true.")
+    elif scenes.around:
         notes.append(
-            f"Truth of what is around the objects ({scenes.around:.0%} of its pixels): the median "
-            "of other views, where at least three agree within max(3 mm, 1 %)."
+            f"Truth of what is around the objects ({scenes.around:.0%} of its pixels): {agree}."
         )
     notes += [f"{name} does not compete: {why}." for name, why in verdict.left_out.items()]
     return notes

@@ -13,7 +13,8 @@ import pytest
 from benchmark.cli.bench import main
 from benchmark.data.splits import FrameKey
 from benchmark.metrics.depth import harm
-from benchmark.recipes.bakeoff_scenes import BakeoffSceneSettings, stage_scenes, views_of
+from benchmark.recipes.bakeoff_scenes import stage_scenes
+from benchmark.recipes.bakeoff_surroundings import BakeoffSceneSettings, views_of
 from benchmark.recipes.bakeoff_verdict import conclusion, judge
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.scene import Scene
@@ -31,7 +32,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def words_of(*methods: str) -> list[str]:
     names = [m if "=" in m else f"{METHODS}:{m}" for m in methods]
-    fast = ["--no-at-hand", "--no-speed", "--no-gallery", "--engine", "serial"]
+    fast = ["--no-at-hand", "--no-speed"]
     return [*fast, *(["--method", *names] if names else [])]
 
 
