@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +15,10 @@ from std_toolkit.geometry.se3 import SE3, rotation_angle
 from std_toolkit.scene.model import Frame
 from std_toolkit.scene.scene import Scene
 from std_toolkit.settings import Settings, limit
+
+_NOTHING = np.float32(1e6)  # metres, where there is no point
+# A point this many times farther than the median around it shows through.
+_THROUGH = np.float32(1.02)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,4 +125,8 @@ def _drawn(points: NDArray[np.floating], camera: Camera) -> Floats:
     inside = (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)
     u, v = uv[inside].astype(np.intp).T
     np.minimum.at(depth, v * camera.width + u, points[inside, 2].astype(np.float32))
-    return depth.reshape(camera.height, camera.width)
+    layer = depth.reshape(camera.height, camera.width)
+    # Between the points of a near surface, single ones of what it hides show through.
+    beside = cv2.medianBlur(np.minimum(layer, _NOTHING), 3)
+    layer[layer > _THROUGH * beside] = np.inf
+    return layer
