@@ -25,6 +25,7 @@ from benchmark.recipes.bakeoff_scenes import SCENES, StagedScenes, stage_scenes
 from benchmark.recipes.bakeoff_verdict import (
     MATERIALS,
     RAW,
+    Cost,
     Value,
     Verdict,
     by_material,
@@ -136,38 +137,38 @@ def _config(options: BakeoffOptions, scenes: StagedScenes) -> DepthConfig:
     )
 
 
-def costs_of(results: Sequence[RunResult], runs: Sequence[Run], *, measure: bool) -> dict[str, str]:
-    """Words on the time that each method takes, by its name; "" where nobody measured or said it.
+def costs_of(
+    results: Sequence[RunResult], runs: Sequence[Run], *, measure: bool
+) -> dict[str, Cost]:
+    """Return the time that each method takes, by its name, where it was measured or is said.
 
     Args:
         results: of the finished runs.
         runs: the same runs.
         measure: time the methods, on a frame of their data.
-
-    Returns:
-        Mean and range of a few calls: processor time, which other programs hardly change.
     """
-    found: dict[str, str] = {}
+    found: dict[str, Cost] = {}
     for result, run in zip(results, runs, strict=True):
         said = result.said
-        found[run.label] = ""
         if run.depth_from is not None:
             if said is not None and said.seconds_per_frame:
-                found[run.label] = f"{said.seconds_per_frame:.2g} s a frame, as its author says"
-            continue
-        if measure:
+                found[run.label] = Cost(Value(said.seconds_per_frame), "a frame, says its author")
+        elif measure:
             frame = run.load(data := run.open(), run.chosen(data)[0])
             calls = standard_calls(run.make(), frame, most=_CALLS, longest_s=_LONGEST_S)
-            found[run.label] = _words_on(calls, on_gpu=run.devices[0] != "cpu")
+            found[run.label] = _cost(calls, on_gpu=run.devices[0] != "cpu")
     return found
 
 
-def _words_on(calls: Sequence[tuple[float, float]], *, on_gpu: bool) -> str:
-    """The first call compiles and fills caches, and counts only if it is the only one."""
+def _cost(calls: Sequence[tuple[float, float]], *, on_gpu: bool) -> Cost:
+    """Processor time, which other programs hardly change; on a GPU time by the clock.
+
+    The first call compiles and fills caches, and counts only if it is the only one.
+    """
     kept = [clock if on_gpu else processor for clock, processor in calls[1:] or calls]
-    shown = Value(sum(kept) / len(kept), min(kept), max(kept)).text(unit=" s", digits=2)
     what = "by the clock" if on_gpu else "of processor time"
-    return f"{shown} {what} a frame of {STANDARD[0]}x{STANDARD[1]}"
+    size = f"{STANDARD[0]}x{STANDARD[1]}"
+    return Cost(Value(sum(kept) / len(kept), min(kept), max(kept)), f"{what} a frame of {size}")
 
 
 def _notes(verdict: Verdict, scenes: StagedScenes) -> list[str]:
@@ -212,29 +213,31 @@ def _html(done: Bakeoff, results: Sequence[RunResult]) -> str:
 def _table(verdict: Verdict) -> Table:
     """Error on each material, harm and speed of each method, with intervals."""
     rmse = METRICS[0]
-    shown = {name: ranking for name, ranking in verdict.rankings.items() if ranking is not None}
+    shown = verdict.rankings
     columns = [Column(heading="method", numeric=False)]
-    columns += [
-        Column(heading=f"RMSE, {MATERIALS[name]}", unit=rmse.unit, factor=rmse.factor, digits=1)
-        for name in shown
-    ]
-    columns += list(harm.COLUMNS)
-    columns.append(Column(heading="speed", numeric=False))
+    for name in shown:
+        heading = f"RMSE, {MATERIALS[name].removesuffix(' objects')}"
+        columns.append(Column(heading=heading, unit=rmse.unit, factor=rmse.factor, digits=1))
+    columns += [*harm.COLUMNS, Column(heading="time", unit="s", digits=2)]
     order = list(shown[verdict.main].errors) if verdict.main in shown else []
     rows = []
     for method in [*order, *verdict.left_out]:
-        cells = [Cell(text=method)]
-        errors = [ranking.errors.get(method) for ranking in shown.values()]
+        of_method, cost = verdict.harms.get(method, {}), verdict.costs.get(method)
+        values = [ranking.errors.get(method) for ranking in shown.values()]
         ties = [method in ranking.tied for ranking in shown.values()]
-        of_method = verdict.harms.get(method, {})
-        values = [*errors, *(of_method.get(column.name) for column in harm.COLUMNS)]
-        marks = [*ties, *([False] * len(harm.COLUMNS))]
-        for column, value, mark in zip(columns[1:-1], values, marks, strict=True):
-            cells.append(_cell(column, value, best=mark))
-        rows.append(Row([*cells, Cell(text=verdict.costs.get(method, "") or "not stated")]))
+        values += [of_method.get(column.name) for column in harm.COLUMNS]
+        values.append(None if cost is None else cost.seconds)
+        marks = [*ties, *([False] * (len(harm.COLUMNS) + 1))]
+        cells = [
+            _cell(column, value, best=mark)
+            for column, value, mark in zip(columns[1:], values, marks, strict=True)
+        ]
+        rows.append(Row([Cell(text=method), *cells]))
+    what = sorted({cost.what for cost in verdict.costs.values()})
     notes = [
-        "In brackets: 95 % intervals. Bold: the best, and what is not shown to be worse. Harm: "
-        "share of the depth that the sensor had right and the method made wrong."
+        "In brackets: 95 % intervals, of time the range of a few calls. Bold: the best, and what "
+        "is not shown to be worse. Harm: share of the depth that the sensor had right and the "
+        f"method made wrong. Time: {'; '.join(what) or 'not measured'}."
     ]
     return Table(columns=columns, rows=rows, title="All methods", notes=notes, sortable=True)
 

@@ -70,6 +70,17 @@ class Value:
 
 
 @dataclass(frozen=True)
+class Cost:
+    """Seconds of a frame: mean and range of a few calls, and what they are."""
+
+    seconds: Value
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.seconds.text(unit=' s', digits=2)} {self.what}"
+
+
+@dataclass(frozen=True)
 class Ranking:
     """Methods on the pixels of one kind of material.
 
@@ -129,7 +140,7 @@ class Verdict:
     units: int
     frames: int
     scenes: int
-    costs: Mapping[str, str] = field(default_factory=dict)
+    costs: Mapping[str, Cost] = field(default_factory=dict)
 
     def broken(self, method: str) -> dict[str, Value]:
         """Regions of which a method breaks more than is allowed."""
@@ -137,7 +148,7 @@ class Verdict:
 
 
 def judge(
-    rows: pd.DataFrame, views: Mapping[FrameKey, str], costs: Mapping[str, str] | None = None
+    rows: pd.DataFrame, views: Mapping[FrameKey, str], costs: Mapping[str, Cost] | None = None
 ) -> Verdict:
     """Decide which method to use.
 
@@ -145,7 +156,7 @@ def judge(
         rows: rows of the runs of all methods on one grid: `method`, `scene`, `frame`, `subset`,
             `rmse`, `n_pixels`, `error` and the columns of harm, which the first row of a frame has.
         views: name of the view of each frame.
-        costs: words on the speed of methods.
+        costs: time of methods, of those that were timed.
 
     Returns:
         The verdict, the same for the same rows.
@@ -263,14 +274,15 @@ def conclusion(verdict: Verdict) -> str:
         ahead = f", {behind.text(1e3, ' mm')} less than {_called(second)}, the next best"
     if verdict.kind == "sensor":
         return f"Use none of these methods: the sensor's own depth is better, {error}{ahead}."
-    cost = f" Speed: {verdict.costs[best]}." if verdict.costs.get(best) else ""
+    cost = f" It takes {verdict.costs[best]}." if best in verdict.costs else ""
     if verdict.kind == "use":
         return f"Use {best}: {error}{ahead}. {_harmless(verdict, best)}{cost}"
     whole = verdict.whole
     assert whole is not None  # the sensor's own depth breaks nothing
     text = (
-        f"{best} is the best on {where}, but not for whole frames: {error}{ahead}; it breaks "
-        f"{_breaks(verdict, best)}.{cost} Use its depth within masks of these objects alone."
+        f"{best} is the best on {where}, but not for whole frames. Use its depth within masks of "
+        f"these objects alone: {error}{ahead}. Of the depth that the sensor had right it breaks "
+        f"{_breaks(verdict, best)}.{cost}"
     )
     if whole.decided and whole.best == RAW:
         return f"{text} No method that breaks less is better than the sensor's own depth."
@@ -324,7 +336,7 @@ def _listed(names: Sequence[str]) -> str:
 
 def _breaks(verdict: Verdict, method: str) -> str:
     parts = [
-        f"{value.text(100, ' %')} of the depth that the sensor had right {REGIONS[region]}"
+        f"{value.text(100, ' %')} {REGIONS[region]}"
         for region, value in verdict.broken(method).items()
     ]
     return _listed(parts)
