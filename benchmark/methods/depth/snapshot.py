@@ -326,7 +326,7 @@ class DepthPro(Snapshot):
     model_type = "depth_pro"
     size, keeps_aspect = (1536, 1536), False
     colors, resampling, smooths = _HALF, "bilinear", False
-    is_inverse = True  # type: ignore[assignment]
+    is_inverse = True
 
     def answer(self, view: View) -> Floats:
         """See `Snapshot.answer`; the focal length is the camera's, not the network's guess."""

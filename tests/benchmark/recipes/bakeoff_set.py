@@ -67,6 +67,16 @@ def write_recording(
     return scene
 
 
+def words_of(*methods: str) -> list[str]:
+    names = [m if "=" in m else f"{__file__}:{m}" for m in methods]
+    fast = ["--no-at-hand", "--no-speed"]
+    return [*fast, *(["--method", *names] if names else [])]
+
+
+def own(name: str) -> str:
+    return f"bakeoff_set.py.{name}"
+
+
 class Good:
     """Fills holes with the glass's depth, off by 5 mm."""
 

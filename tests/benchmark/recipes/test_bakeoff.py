@@ -19,21 +19,20 @@ from benchmark.recipes.bakeoff_verdict import conclusion, judge
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.scene import Scene
 from std_toolkit.settings import override
-from tests.benchmark.recipes.bakeoff_set import GLASS, STEP_M, WALL, write_recording
+from tests.benchmark.recipes.bakeoff_set import (
+    GLASS,
+    STEP_M,
+    WALL,
+    own,
+    words_of,
+    write_recording,
+)
 from tests.scene_on_disk import write_scene
-
-METHODS = Path(__file__).with_name("bakeoff_set.py")
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_recording(tmp_path_factory.mktemp("data") / "glass", vendor=True).root
-
-
-def words_of(*methods: str) -> list[str]:
-    names = [m if "=" in m else f"{METHODS}:{m}" for m in methods]
-    fast = ["--no-at-hand", "--no-speed"]
-    return [*fast, *(["--method", *names] if names else [])]
 
 
 def decide(
@@ -42,10 +41,6 @@ def decide(
     words = ["bakeoff", *map(str, recordings), "--out", str(out), "--json", *words_of(*methods)]
     assert main(words) == 0
     return dict(json.loads(capsys.readouterr().out))
-
-
-def own(name: str) -> str:
-    return f"bakeoff_set.py.{name}"
 
 
 def without_vendor(tmp_path: Path, **changes: Any) -> list[Path]:

@@ -18,7 +18,7 @@ from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.io.images import read_png
 from std_toolkit.poses.board_scale import Board
 from std_toolkit.scene import CameraModel, Scene, SceneInfo
-from tests.benchmark.recipes.test_bakeoff import own, words_of
+from tests.benchmark.recipes.bakeoff_set import own, words_of
 from tests.scene_on_disk import camera_poses, write_frames
 
 CAMERA = Camera(480, 360, 450.0, 450.0, 239.5, 179.5)
