@@ -14,7 +14,7 @@ from std_toolkit.geometry.camera import Camera, pixel_rays
 from std_toolkit.geometry.se3 import SE3, rotation_angle
 from std_toolkit.scene.model import Frame
 from std_toolkit.scene.scene import Scene
-from std_toolkit.settings import Settings, limit
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _NOTHING = np.float32(1e6)  # metres, where there is no point
 # A point this many times farther than the median around it shows through.
@@ -25,11 +25,14 @@ _THROUGH = np.float32(1.02)
 class BakeoffSceneSettings(Settings):
     """What counts as truth around the objects, and as another view."""
 
-    views: int = limit(16, source="more change under 1 % of the pixels of the demo's scene")
+    views: int = limit(16, source=NOT_RECORDED)
     """other views that are asked what stands around the objects, evenly chosen"""
     agreeing: int = limit(3, source="two may err alike, as neighbours do")
     """views that must agree within max(3 mm, 1 %) of their median"""
-    moved_deg: float = limit(5.0, unit="deg", source="reflections in glass have changed by then")
+    moved_deg: float = limit(
+        10.0, unit="deg",
+        source="differences of methods in frames 13 degrees apart correlate by 0.24 (demo's scene)",
+    )  # fmt: skip
     """a camera that turned by more, or moved by as much of the depth, sees another view"""
 
 

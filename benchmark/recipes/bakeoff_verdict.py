@@ -3,8 +3,10 @@
 Methods are compared by RMSE, frame by frame, on each kind of material. Frames of one view are not
 independent, and views of one scene show the same objects: from six scenes on scenes are drawn and
 swapped, below that views, and the conclusion holds for these objects alone. A method is named only
-if it is better than every other one by the sign-flip test with Holm's correction; otherwise the
-frames do not decide. What a method breaks of depth that the sensor had right is said beside.
+if it is better than every other one by the sign-flip test, p times the number of others; otherwise
+the frames do not decide. The factor is enough: a wrong name needs a method that looks better than
+the one that is best in truth, and there are as many chances for that as other methods. What a
+method breaks of depth that the sensor had right is said beside.
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,6 +47,8 @@ class BakeoffSettings(Settings):
     """a method that breaks a larger share of good depth is not recommended for whole frames"""
     significant: float = limit(0.05, source="as in leaderboards")
     """largest corrected p of a difference that counts"""
+    least_mm: float = limit(0.1, unit="mm", source="tables print no less")
+    """a smaller difference of RMSE counts as none"""
     scenes: int = limit(6, source="2 / 2**6 is the first p below 0.05")
     """with fewer scenes, views are drawn instead"""
 
@@ -108,8 +112,8 @@ class Ranking:
     @property
     def needed(self) -> int:
         """Fewest views or scenes with which a difference of so many methods can be shown."""
-        pairs = len(self.errors) * (len(self.errors) - 1) // 2
-        return int(np.ceil(np.log2(2 * pairs / BakeoffSettings.current().significant)))
+        others = len(self.errors) - 1
+        return int(np.ceil(np.log2(2 * others / BakeoffSettings.current().significant)))
 
 
 @dataclass(frozen=True)
@@ -249,10 +253,12 @@ def _rank(rows: pd.DataFrame, subset: str) -> Ranking | None:
     units = ordered.drop(columns=[SCENE, FRAME]).rename(columns={"unit": SCENE, "key": FRAME})
     pairs = compare_methods(units[["method", SCENE, FRAME, "rmse"]], "rmse")
     behind, tied = {}, [names[0]]
+    limits = BakeoffSettings.current()
     for pair in pairs[pairs["first"] == names[0]].to_dict("records"):
         # The best stands first: the difference is that of the other, turned around.
         behind[pair["second"]] = Value(-pair["difference"], -pair["high"], -pair["low"])
-        if not pair["p_flip_holm"] < BakeoffSettings.current().significant:
+        p = (len(names) - 1) * pair["p_flip"]
+        if not (p < limits.significant and -pair["difference"] >= limits.least_mm / 1000):
             tied.append(pair["second"])
     one = part[part["method"] == names[0]]
     return Ranking(errors, behind, tuple(tied), len(one), one["unit"].nunique())

@@ -51,7 +51,7 @@ class _Config(msgspec.Struct, frozen=True):
 
 
 class _Preparation(msgspec.Struct, frozen=True):
-    """What is read of preprocessor_config.json; None where the model's own value holds."""
+    """What is read of preprocessor_config.json; None where that of the published model holds."""
 
     size: dict[str, int] | int | None = None
     ensure_multiple_of: float | None = None
@@ -202,8 +202,9 @@ class Snapshot(ABC):
             torch.tensor(a)[:, None, None]
             for a in (read.image_mean or self.colors[0], read.image_std or self.colors[1])
         )
+        whole = self._padded(image[None])
         small = interpolate(
-            self._padded(image[None]), self._size(*image.shape[1:]), mode=self.resampling,
+            whole, self._size(*whole.shape[2:]), mode=self.resampling,
             antialias=self.smooths, align_corners=self.corners,
         )  # fmt: skip
         return (small - mean) / deviation

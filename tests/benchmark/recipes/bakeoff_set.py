@@ -16,13 +16,13 @@ from std_toolkit.scene import CameraModel, Model, Object, ObjectTable, Scene, Sc
 from tests.scene_on_disk import CAMERA, camera_poses, write_frames
 
 WALL, GLASS, BOX = 1.0, 0.8, 0.9
-STEP_M = 0.09  # of the camera from frame to frame: more than 5 degrees of the wall's distance
+STEP_M = 0.18  # of the camera from frame to frame: more than 10 degrees of the wall's distance
 
 
 def write_recording(
     root: Path, *, frames: int = 9, step: float = STEP_M, glass: bool = True, vendor: bool = False
 ) -> Scene:
-    """A wall, a glass plate that the sensor does not see, and an opaque one beside it.
+    """A wall, glass plates in a row, which the sensor does not see, and opaque ones below.
 
     The camera moves to the right. Only the plates have true depth; the sensor is off by up to 2 mm.
     """
@@ -33,9 +33,8 @@ def write_recording(
     for i in range(frames):
         mask = np.zeros((CAMERA.height, width), np.uint8)
         for number, z, rows in ((1, GLASS, slice(10, 30)), (2, BOX, slice(40, 60))):
-            x = step * (frames - 1) / 2 - step * i
-            at = CAMERA.fx * x / z + CAMERA.cx
-            mask[rows, np.abs(u - at) < 8] = number
+            x = (u - CAMERA.cx) * z / CAMERA.fx + step * i
+            mask[rows, x % 0.36 < 0.18] = number
         true = np.select([mask == 1, mask == 2], [GLASS, BOX], WALL).astype(np.float32)
         sensor = true + rng.uniform(-0.002, 0.002, true.shape).astype(np.float32)
         sensor[mask == 1] = 0

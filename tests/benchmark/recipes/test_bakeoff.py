@@ -13,6 +13,7 @@ import pytest
 from benchmark.cli.bench import main
 from benchmark.data.splits import FrameKey
 from benchmark.metrics.depth import harm
+from benchmark.recipes.bakeoff import methods_at_hand
 from benchmark.recipes.bakeoff_scenes import stage_scenes
 from benchmark.recipes.bakeoff_surroundings import BakeoffSceneSettings, views_of
 from benchmark.recipes.bakeoff_verdict import conclusion, judge
@@ -126,7 +127,7 @@ def test_the_cameras_own_depth_and_folders(
 
 def test_what_is_around_has_truth_of_other_views(recording: Path, tmp_path: Path) -> None:
     scenes = stage_scenes([recording], tmp_path, limit=9)
-    assert scenes.around > 0.8 and len(set(scenes.views.values())) == 9
+    assert scenes.around > 0.6 and len(set(scenes.views.values())) == 9
     maps = [
         read_exr_channel(scenes.root / "glass" / "reference" / "depth" / f"{i:06d}.exr")
         for i in range(9)
@@ -213,6 +214,21 @@ def test_a_method_that_fails_is_reported_and_the_rest_decided(
     told = capsys.readouterr()
     assert told.out.startswith(f"Use {own('Good')}")
     assert "Missing" in told.err
+
+
+@pytest.mark.slow
+def test_the_methods_at_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All of them run without any further file, and are timed."""
+    rec = without_vendor(tmp_path, frames=2)[0]
+    assert main(["bakeoff", str(rec), "--out", str(tmp_path / "out"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    names = {"raw", *methods_at_hand()}
+    assert {"nearest", "colorization", "swindrnet", "nlspn", "dfnet", "compactdr"} < names
+    assert set(found["rankings"]["transparent"]["errors"]) == names == set(found["costs"])
+    assert all(cost["seconds"]["mean"] > 0 for cost in found["costs"].values())
+    assert "processor time a frame of 640x480" in (tmp_path / "out" / "bakeoff.html").read_text()
+    assert found["kind"] == "undecided"
+    assert "8 views or more" in found["conclusion"]
 
 
 def test_wrong_recordings(

@@ -159,6 +159,38 @@ def test_images_are_prepared_as_the_models_own_processor_says(
         np.testing.assert_allclose(pixels[0, channel].numpy(), value, atol=1e-5)
 
 
+IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
+# Processors of transformers that need no torchvision, and how far off Pillow's rounding is.
+PROCESSORS = {
+    "depth-anything": (
+        "DPTImageProcessorPil",
+        {"keep_aspect_ratio": True, "ensure_multiple_of": 14, "resample": 3, **IMAGENET},
+        0.03,
+    ),
+    "prompt-depth-anything": (
+        "PromptDepthAnythingImageProcessorPil",
+        {"keep_aspect_ratio": True, **IMAGENET},
+        0.03,
+    ),
+    "zoedepth": ("ZoeDepthImageProcessorPil", {}, 1e-6),
+}
+
+
+@pytest.mark.parametrize("name", PROCESSORS)
+@pytest.mark.parametrize(("height", "width"), [(45, 80), (90, 60)])
+def test_images_equal_those_of_the_models_own_processor(
+    name: str, height: int, width: int, snapshots: dict[str, Path]
+) -> None:
+    rows, columns = np.mgrid[:height, :width]
+    levels = (2 * rows + columns)[..., None] + np.array([0, 20, 40])
+    color = (255 * levels / levels.max()).astype(np.uint8)
+    processor, said, apart = PROCESSORS[name]
+    made_of = getattr(transformers, processor)(**MODELS[name][1], **said)
+    wanted = made_of(images=color, return_tensors="np")["pixel_values"]
+    found = made(name, snapshots[name])._prepared(color).numpy()
+    np.testing.assert_allclose(found, np.asarray(wanted), atol=apart)
+
+
 def test_an_answer_is_fitted_to_measurements_and_not_to_wrong_ones(
     snapshots: dict[str, Path],
 ) -> None:
