@@ -22,17 +22,8 @@ from benchmark.methods.registry import COMPACT, restorers, shipped_file
 from benchmark.metrics.depth import harm
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.recipes.bakeoff_scenes import SCENES, StagedScenes, stage_scenes
-from benchmark.recipes.bakeoff_verdict import (
-    MATERIALS,
-    RAW,
-    Cost,
-    Value,
-    Verdict,
-    by_material,
-    conclusion,
-    counted,
-    judge,
-)
+from benchmark.recipes.bakeoff_verdict import RAW, Cost, Value, Verdict, judge
+from benchmark.recipes.bakeoff_words import MATERIALS, by_material, conclusion, counted
 from benchmark.report.leaderboard import METRICS, make_board
 from benchmark.report.parts.depth import board_sections
 from std_toolkit import __version__

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.frame import BACKGROUND
+from benchmark.data.infrared import infrared_inputs
 from benchmark.data.prediction_files import FrameFiles
 from benchmark.data.predictions import DepthFolder
 from benchmark.data.splits import FrameKey
@@ -208,8 +209,11 @@ def _stage(source: _Recording, chosen: Sequence[Frame], to: Path) -> tuple[int, 
         unknown += int((true[ids == 0] == 0).sum())
         write_exr(to / "reference" / "depth" / f"{frame.name}.exr", {"Y": true})
         write_png(to / "reference" / "mask" / f"{frame.name}.png", ids)
-        for name in (frame.color, frame.depth or ""):
-            _copy(scene.root / name, to / name)
+        files = [scene.root / name for name in (frame.color, frame.depth or "")]
+        files += infrared_inputs(scene.root, frame.name).values()  # for stereo methods
+        for path in files:
+            if path.is_file():
+                _copy(path, to / path.relative_to(scene.root))
     if (scene.root / "poses.json").is_file():
         _copy(scene.root / "poses.json", to / "poses.json")
     if (to / "scene.json").exists():

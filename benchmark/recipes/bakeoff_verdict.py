@@ -1,4 +1,4 @@
-"""Which method to use: the rule of a bake-off, and its words.
+"""Which method to use: the rule of a bake-off.
 
 Methods are compared by RMSE, frame by frame, on each kind of material. Frames of one view are not
 independent, and views of one scene show the same objects: from six scenes on scenes are drawn and
@@ -9,7 +9,7 @@ the one that is best in truth, and there are as many chances for that as other m
 method breaks of depth that the sensor had right is said beside.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -24,18 +24,8 @@ from std_toolkit.settings import Settings, limit
 
 RAW = "raw"
 HARD, ALL = "specular+transparent", "all"
-MATERIALS = {
-    HARD: "transparent and specular objects",
-    "transparent": "transparent objects",
-    "specular": "specular objects",
-    "diffuse": "opaque objects",
-    ALL: "all objects",
-}
-REGIONS = {
-    "harm_opaque": "on opaque objects",
-    "harm_background": "on the background",
-    "harm_band": "around glass and metal",
-}
+# Subsets of the protocol that are ranked.
+SUBSETS = (HARD, "transparent", "specular", "diffuse", ALL)
 Kind = Literal["use", "on objects", "sensor", "undecided"]
 
 
@@ -172,7 +162,7 @@ def judge(
     rows["unit"] = rows[SCENE] if by_scene else rows["key"].map(views)
     harms = _harms(rows)
     rows = rows[~rows["method"].isin(left_out)]
-    found = {name: _rank(rows, name) for name in MATERIALS}
+    found = {name: _rank(rows, name) for name in SUBSETS}
     rankings = {name: ranking for name, ranking in found.items() if ranking is not None}
     main = HARD if HARD in rankings else ALL
     kind, method, whole = _decide(rows, rankings.get(main), main, harms)
@@ -196,7 +186,7 @@ def _decide(
     rows: pd.DataFrame, ranking: Ranking | None, main: str, harms: Mapping[str, dict[str, Value]]
 ) -> tuple[Kind, str, Ranking | None]:
     """What to use, and the ranking of the methods that break little if the best breaks more."""
-    if ranking is None or not ranking.decided:
+    if ranking is None or len(ranking.errors) < 2 or not ranking.decided:
         return "undecided", "", None
     if ranking.best == RAW:
         return "sensor", RAW, None
@@ -262,113 +252,3 @@ def _rank(rows: pd.DataFrame, subset: str) -> Ranking | None:
             tied.append(pair["second"])
     one = part[part["method"] == names[0]]
     return Ranking(errors, behind, tuple(tied), len(one), one["unit"].nunique())
-
-
-def conclusion(verdict: Verdict) -> str:
-    """The conclusion in one line of words."""
-    ranking = verdict.rankings.get(verdict.main)
-    if ranking is None:
-        return "These frames do not decide: no frame has a pixel of an object to compare."
-    where = MATERIALS[verdict.main]
-    if verdict.kind == "undecided":
-        return f"These frames do not decide{_undecided(verdict, ranking)}"
-    best = verdict.method
-    error = f"RMSE {ranking.errors[best].text(1e3, ' mm')} on {where}"
-    ahead = ""
-    if ranking.behind:
-        second, behind = next(iter(ranking.behind.items()))
-        ahead = f", {behind.text(1e3, ' mm')} less than {_called(second)}, the next best"
-    if verdict.kind == "sensor":
-        return f"Use none of these methods: the sensor's own depth is better, {error}{ahead}."
-    cost = f" It takes {verdict.costs[best]}." if best in verdict.costs else ""
-    if verdict.kind == "use":
-        return f"Use {best}: {error}{ahead}. {_harmless(verdict, best)}{cost}"
-    whole = verdict.whole
-    assert whole is not None  # the sensor's own depth breaks nothing
-    text = (
-        f"{best} is the best on {where}, but not for whole frames. Use its depth within masks of "
-        f"these objects alone: {error}{ahead}. Of the depth that the sensor had right it breaks "
-        f"{_breaks(verdict, best)}.{cost}"
-    )
-    if whole.decided and whole.best == RAW:
-        return f"{text} No method that breaks less is better than the sensor's own depth."
-    if whole.decided:
-        shown = whole.errors[whole.best].text(1e3, " mm")
-        return f"{text} For whole frames use {whole.best}: RMSE {shown}."
-    return f"{text} For whole frames these do not decide between {_listed(whole.tied)}."
-
-
-def _undecided(verdict: Verdict, ranking: Ranking) -> str:
-    where, unit = MATERIALS[verdict.main], verdict.unit
-    if len(ranking.errors) < 2:
-        return ": fewer than two methods answered every frame."
-    names = [_called(name) for name in ranking.tied]
-    second = ranking.tied[1]
-    text = (
-        f" between {_listed(names)}: on {where} RMSE is "
-        f"{ranking.errors[ranking.best].text(1e3, ' mm')} and "
-        f"{ranking.errors[second].text(1e3, ' mm')}, a difference of "
-        f"{ranking.behind[second].text(1e3, ' mm')} over {counted(ranking.units, unit)}."
-    )
-    if RAW in ranking.tied:
-        text += " No method is shown to be better than the sensor's own depth."
-    if ranking.units < ranking.needed:
-        return (
-            f"{text} A difference between {len(ranking.errors)} methods can be shown with "
-            f"{ranking.needed} {unit}s or more."
-        )
-    return f"{text} Record more scenes, or compare fewer methods."
-
-
-def counted(number: int, what: str) -> str:
-    """
-    >>> counted(1, "view"), counted(2, "view")
-    ('1 view', '2 views')
-    """
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
-def _called(method: str) -> str:
-    return "the sensor's own depth" if method == RAW else method
-
-
-def _listed(names: Sequence[str]) -> str:
-    """
-    >>> _listed(["a", "b", "c"])
-    'a, b and c'
-    """
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
-def _breaks(verdict: Verdict, method: str) -> str:
-    parts = [
-        f"{value.text(100, ' %')} {REGIONS[region]}"
-        for region, value in verdict.broken(method).items()
-    ]
-    return _listed(parts)
-
-
-def _harmless(verdict: Verdict, method: str) -> str:
-    harms = verdict.harms.get(method, {})
-    if not harms:
-        return "What it breaks these frames do not tell: around the objects they have no truth."
-    worst = max(harms, key=lambda region: harms[region].mean)
-    text = f"It breaks at most {harms[worst].text(100, ' %')} of depth that the sensor had right"
-    text += f" ({REGIONS[worst]})."
-    if "harm_background" not in harms:
-        text += " What it does to the background these frames do not tell."
-    return text
-
-
-def by_material(verdict: Verdict) -> list[str]:
-    """A sentence for each kind of material that the frames show."""
-    lines = []
-    for name, ranking in verdict.rankings.items():
-        many = f"{counted(ranking.frames, 'frame')}, {counted(ranking.units, verdict.unit)}"
-        start = f"{MATERIALS[name].capitalize()} ({many}): "
-        if not ranking.decided:
-            lines.append(f"{start}undecided between {_listed([_called(t) for t in ranking.tied])}.")
-            continue
-        shown = ranking.errors[ranking.best].text(1e3, " mm")
-        lines.append(f"{start}{_called(ranking.best)}, RMSE {shown}.")
-    return lines

@@ -16,7 +16,8 @@ from benchmark.metrics.depth import harm
 from benchmark.recipes.bakeoff import methods_at_hand
 from benchmark.recipes.bakeoff_scenes import stage_scenes
 from benchmark.recipes.bakeoff_surroundings import BakeoffSceneSettings, views_of
-from benchmark.recipes.bakeoff_verdict import conclusion, judge
+from benchmark.recipes.bakeoff_verdict import judge
+from benchmark.recipes.bakeoff_words import conclusion
 from std_toolkit.io.exr import read_exr_channel
 from std_toolkit.scene import Scene
 from std_toolkit.settings import override
@@ -185,7 +186,12 @@ def test_a_method_that_does_not_answer_does_not_compete() -> None:
     )
     found = judge(rows, {})
     assert found.method == "a" and found.left_out == {"best": "no answer to 1 of 8 frames: cannot"}
-    assert judge(rows[rows["method"] == "best"], {}).kind == "undecided"
+    alone = judge(rows[rows["method"] == "best"], {})
+    assert alone.kind == "undecided" and "no method answered every frame" in conclusion(alone)
+    one = judge(pd.concat([rows_of("raw", [0.1] * 8), rows[rows["method"] == "best"]]), {})
+    assert one.kind == "undecided" and "fewer than two methods" in conclusion(one)
+    empty = judge(rows_of("a", [np.nan] * 8, n_pixels=0), {})
+    assert empty.kind == "undecided" and "no frame has a pixel" in conclusion(empty)
 
 
 @pytest.mark.parametrize("harmed", [0.004, 0.03])
