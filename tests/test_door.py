@@ -43,7 +43,7 @@ INPUTS = {
     *("--results", "ROOT", "--root", "SOURCE", "--models", "--cameras", "--hand-eye", "--board"),
     *("--mesh", "--pose", "--correspondences", "RESULTS", "SOURCES", "--weights", "PHOTOS"),
     *("FLIPPED", "--masks", "--environment", "--list-file", "--assets-root", "--validation"),
-    *("--imagenet", "RUN", "--validation-data"),
+    *("--imagenet", "RUN", "--validation-data", "RECORDINGS", "--sprayed"),
 }
 PLUG_INS = {"--method", "--renderer", "--depth", "--format", "--camera", "--planner", "--split"}
 

@@ -70,6 +70,7 @@ API: dict[str, tuple[str, dict[str, list[str]]]] = {
 # Guides whose blocks need a labelled scene, results or weights; a test runs or checks each.
 RUN_BY_TESTS = {
     "benchmark_data.md": "tests/benchmark/data/test_benchmark_data_guide.py",
+    "board.md": "tests/benchmark/evaluation/test_board_guide.py",
     "methods.md": "tests/benchmark/methods/depth/filling/test_methods_guide.py",
     "pose.md": "tests/benchmark/evaluation/test_pose_task_guide.py",
     "bop.md": "tests/benchmark/metrics/bop/test_bop_of_an_export.py",

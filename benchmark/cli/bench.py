@@ -11,6 +11,7 @@ from std_toolkit.cli.command import Program, print_json
 if TYPE_CHECKING:
     from benchmark.evaluation.config import BopConfig, NetworkConfig
     from benchmark.evaluation.query_options import (
+        BakeoffOptions,
         CheckDataOptions,
         InferListOptions,
         ListOptions,
@@ -124,6 +125,18 @@ def verify_results(options: VerifyOptions) -> int:
     return 0 if all(run.holds for run in done.runs) else 1
 
 
+def choose(options: BakeoffOptions) -> int:
+    """Say which depth restorer to use; returns the exit status."""
+    from benchmark.recipes.bakeoff import bakeoff
+
+    done = bakeoff(options)
+    if options.json:
+        print_json(done.record)
+    else:
+        print("\n".join(done.lines))
+    return report_failures(done.failed)
+
+
 def write_priors(options: PriorsCommand) -> int:
     """Make shape priors; returns the exit status."""
     from benchmark.methods.pose.priors.make_priors import make_priors
@@ -174,6 +187,12 @@ PROGRAM = Program(
             "check figures of results, with the data by making them again",
             _QUERY + "VerifyOptions",
             "verify_results",
+        ),
+        (
+            "bakeoff",
+            "say which depth restorer to use for your camera",
+            _QUERY + "BakeoffOptions",
+            "choose",
         ),
         ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),
     ),

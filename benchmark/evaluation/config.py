@@ -95,8 +95,8 @@ class FrameConfig(NetworkConfig):
     """Options of a task over the frames of data sets; every method runs on every split."""
 
     methods: tuple[str, ...] = field(metadata=_option("method"))
-    """names of `std-bench list methods`, package.module:Class, file.py:Class; for depth, NAME=DIR
-    of predictions, for poses, too, and 'command:PROGRAM ARGUMENTS'"""
+    """names of `std-bench list methods`, package.module:Class, file.py:Class, NAME=DIR
+    of predictions, 'command:PROGRAM ARGUMENTS'"""
     splits: tuple[str, ...] = field(metadata=_option("split"))
     """names of `std-bench list splits`"""
     data: tuple[str, ...] = field(metadata=_option("data"))

@@ -28,7 +28,7 @@ from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.evaluation.values import checked_label, data_of, plain_label
 from benchmark.methods.protocol import Restored, Restorer, View
-from benchmark.methods.registry import MethodOptions, weights_digest
+from benchmark.methods.registry import MethodOptions, restorers, weights_digest
 from std_toolkit.errors import ToolkitError, is_interrupt
 from std_toolkit.jobs.outcome import error_of
 
@@ -392,6 +392,15 @@ class FrameRun(FramesRun[DepthSource, M]):
         }
 
 
+def _label(method: str, options: MethodOptions) -> str:
+    """The name in tables of a method without one of the user's: some tell their settings."""
+    name = plain_label(method)
+    if method not in restorers.names():
+        return name
+    end = getattr(restorers.get(method), "label_end", None)
+    return name if end is None else f"{name}{end(options.settings)}"
+
+
 _OF_CONFIG = ("out", "devices", "batch_size", "limit", "gallery")
 
 
@@ -408,6 +417,6 @@ def frame_options(
         "root": data_of(split, config.roots),
         "method": method,
         "options": options[method],
-        "label": config.labels.get(method) or checked_label(plain_label(method)),
+        "label": config.labels.get(method) or checked_label(_label(method, options[method])),
         **{name: getattr(config, name) for name in _OF_CONFIG},
     }

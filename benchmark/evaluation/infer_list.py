@@ -7,34 +7,20 @@ the data set's own form: every library reads it.
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from benchmark.data.frame import DepthFrame
 from benchmark.data.splits import DepthSource, FrameKey, inputs_of, open_split
 from benchmark.evaluation.frames import chosen_frames
 from benchmark.evaluation.query_options import FRAME_LIST, InferListOptions
+from benchmark.methods.depth.command import frame_row, raw_units, write_frame_list
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.jobs import run_jobs
 
-COLUMNS = (
-    "scene", "frame", "color", "raw", "raw_unit_m", "width", "height", "fx", "fy", "cx", "cy",
-    "out",
-)  # fmt: skip
-
-# 6.5 m at 0.1 mm: what a camera of tables measures.
-_UNIT_M = 1e-4
-_LARGEST = 65535
 _ORDINARY = (".png", ".jpg", ".jpeg")
 
 
@@ -58,19 +44,10 @@ class _Writer:
         color = _color_file(self.options.out, key, frame, found)
         raw = self.options.out / "raw" / key.scene / f"{key.name}.png"
         raw.parent.mkdir(parents=True, exist_ok=True)
-        write_png(raw, _units(frame.depth_raw))
+        write_png(raw, raw_units(frame.depth_raw))
+        out = self.options.out / "predictions" / key.scene / f"{key.name}.npy"
         camera = frame.camera.resized(frame.color.shape[1], frame.color.shape[0])
-        values = (
-            *key, color.resolve(), raw.resolve(), _UNIT_M, camera.width, camera.height, camera.fx,
-            camera.fy, camera.cx, camera.cy,
-            (self.options.out / "predictions" / key.scene / f"{key.name}.npy").resolve(),
-        )  # fmt: skip
-        return dict(zip(COLUMNS, map(str, values), strict=True))
-
-
-def _units(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
-    units = np.rint(depth.astype(np.float64) / _UNIT_M)
-    return np.where(units > _LARGEST, 0, units).astype(np.uint16)
+        return frame_row(key.scene, key.name, color, raw, camera, out)
 
 
 def _color_file(out: Path, key: FrameKey, frame: DepthFrame, found: object) -> Path:
@@ -109,13 +86,5 @@ def write_infer_list(options: InferListOptions) -> Path:
         raise ToolkitError(f"{len(report.failed)} frames cannot be listed; {where}: {why}")
     rows = [report.results[str(keys[index])] for index in chosen]
     path = options.out / FRAME_LIST
-    write_bytes_atomic(path, _table(rows).encode())
+    write_frame_list(path, rows)
     return path
-
-
-def _table(rows: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

@@ -1,4 +1,4 @@
-"""Options of the commands of `std-bench` that score nothing: lists, checks, self-test, verify.
+"""Options of the commands of `std-bench` that are no task: lists, checks, verify, bake-off.
 
 As `benchmark.evaluation.config`, it imports no heavy packages.
 """
@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from benchmark.evaluation.config import Count, TaskConfig, check_lists
+from benchmark.evaluation.config import BenchJobs, Count, NetworkConfig, TaskConfig, check_lists
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
 from std_toolkit.options import JobOptions
@@ -122,6 +122,45 @@ class VerifyOptions(TaskConfig):
     def weight_files(self) -> dict[str, Path]:
         """Files of weights by label or method."""
         return _named_paths(self.weights, "weights")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeoffOptions(NetworkConfig):
+    """Say which depth restorer to use for a camera, by labelled recordings made with it.
+
+    Methods at hand are raw, nearest, colorization and the networks whose weights come with the
+    toolkit. Folders depth_NAME of a recording, which the camera's own software restored, are scored
+    as vendor.NAME. Writes bakeoff.html; run the same command again to resume.
+    """
+
+    task = "bakeoff"
+
+    recordings: tuple[Path, ...]
+    """scenes with labels and ground truth (`std-curate run`), or folders above some"""
+    out: Path = field(
+        metadata={"option": "out", "writes": Writes("results", ("bakeoff.html", "results"))}
+    )
+    """folder of copied frames, results and the page"""
+    sprayed: tuple[Path, ...] = ()
+    """a recording of the same scene with its objects sprayed matt, for each recording in their
+    order: truth in place of labels; a board that was not moved lies in both (board.json)"""
+    methods: tuple[str, ...] = field(default=(), metadata={"option": "method"})
+    """further methods, as of `std-bench depth`: names, file.py:Class, NAME=DIR of predictions"""
+    at_hand: bool = True
+    """the methods at hand (of those, raw alone)"""
+    depth_units: tuple[str, ...] = field(default=(), metadata={"option": "depth-unit"})
+    """[NAME=]UNIT of predictions in folders, as of `std-bench depth`"""
+    limit: Count = 24
+    """most frames, evenly spaced in each scene"""
+    gallery: bool = False
+    """pictures of a few frames"""
+    speed: bool = True
+    """processor time of a frame of 640x480"""
+    jobs: BenchJobs = field(default_factory=lambda: BenchJobs(engine="serial"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lists(self, "recordings", *(["methods"] if self.methods else []))
 
 
 def _named_paths(texts: Sequence[str], option: str) -> dict[str, Path]:

@@ -13,7 +13,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from benchmark.methods.protocol import GraspPlanner, PoseEstimator, Restorer
 from std_toolkit.errors import ToolkitError, check_known, missing_extra
-from std_toolkit.io.documents import digest_file
+from std_toolkit.io.documents import digest_file, digest_files, digest_of
 from std_toolkit.plugins import Registry
 
 T = TypeVar("T")
@@ -57,6 +57,7 @@ class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
         called: the method that each must have.
         has: attributes that each must have.
         guide: the page that shows how one is written.
+        command: class of a method that is a program, `command:PROGRAM ARGUMENTS`.
     """
 
     def __init__(
@@ -67,9 +68,14 @@ class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
         called: str,
         has: Sequence[str] = (),
         guide: str,
+        command: str = "",
     ) -> None:
         super().__init__(group, builtin)
-        self.called, self.has, self.guide = called, has, guide
+        self.called, self.has, self.guide, self.command = called, has, guide, command
+
+    def get(self, name: str) -> Callable[[MethodOptions], T]:
+        """As `Registry.get`; of `command:PROGRAM ARGUMENTS` the class that runs it."""
+        return super().get(self.command if self.command and name.startswith(COMMAND) else name)
 
     def about(self, name: str) -> str:
         """A line about a method, or why it is not usable here."""
@@ -79,13 +85,18 @@ class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
             return f"not usable here: {error.problem}"
 
     def make(self, name: str, options: MethodOptions | None = None) -> T:
-        """A method by its name, by `package.module:Class`, or by `file.py:Class`.
+        """A method by its name, by `package.module:Class`, by `file.py:Class`, or a program as
+        `command:PROGRAM ARGUMENTS`.
 
         Raises:
             ToolkitError: no such method, one that lacks a part, or what it says of its options and
                 weights.
         """
         factory = self.get(name)
+        options = options or MethodOptions()
+        if self.command and name.startswith(COMMAND):
+            settings = {**options.settings, "command": name.removeprefix(COMMAND)}
+            options = replace(options, settings=settings)
         if not callable(factory):
             raise ToolkitError(
                 "is not a class that takes MethodOptions",
@@ -93,7 +104,7 @@ class MethodRegistry(Registry[Callable[[MethodOptions], T]], Generic[T]):
                 hint=f"{self.guide} shows one",
             )
         try:
-            method = factory(options or MethodOptions())
+            method = factory(options)
         except (ToolkitError, MemoryError):
             raise
         except Exception as error:
@@ -139,28 +150,19 @@ restorers: MethodRegistry[Restorer] = MethodRegistry(
         "dfnet": "benchmark.methods.depth.dfnet:DFNet",
         "two-branch": "benchmark.methods.depth.two_branch:TwoBranch",
         "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
+        "prompt-depth-anything": "benchmark.methods.depth.snapshot:PromptDepthAnything",
+        "depth-anything": "benchmark.methods.depth.snapshot:DepthAnything",
+        "depth-pro": "benchmark.methods.depth.snapshot:DepthPro",
+        "zoedepth": "benchmark.methods.depth.snapshot:ZoeDepth",
     },
     called="restore",
     has=("input_size", "needs_mask"),
     guide="docs/methods.md",
+    command="benchmark.methods.depth.command:CommandRestorer",
 )
 
 
-_COMMAND_CLASS = "benchmark.methods.pose.command:CommandMethod"
-
-
-class _PoseMethods(MethodRegistry[PoseEstimator]):
-    def make(self, name: str, options: MethodOptions | None = None) -> PoseEstimator:
-        """As `MethodRegistry.make`, or a program as `command:PROGRAM ARGUMENTS`."""
-        if name.startswith(COMMAND):
-            given = options or MethodOptions()
-            settings = {**given.settings, "command": name.removeprefix(COMMAND)}
-            options = replace(given, settings=settings)
-            name = _COMMAND_CLASS
-        return super().make(name, options)
-
-
-pose_methods = _PoseMethods(
+pose_methods: MethodRegistry[PoseEstimator] = MethodRegistry(
     "std_toolkit.pose_methods",
     {
         "gt-nocs": "benchmark.methods.pose.ground_truth:GroundTruthNOCS",
@@ -173,6 +175,7 @@ pose_methods = _PoseMethods(
     called="estimate",
     has=("input_size", "needs_truth"),
     guide="docs/pose.md",
+    command="benchmark.methods.pose.command:CommandMethod",
 )
 
 grasp_planners: MethodRegistry[GraspPlanner] = MethodRegistry(
@@ -202,12 +205,13 @@ def has_setting(name: str, setting: str) -> bool:
     Raises:
         ToolkitError: the method cannot be imported.
     """
-    name = _COMMAND_CLASS if name.startswith(COMMAND) else name
-    registry = next((r for r in METHODS.values() if name in r.names()), None)
-    if registry is None and ":" in name:
-        registry = restorers  # any finds a class by its place
-    kind = getattr(registry.get(name), "settings_type", None) if registry else None
-    return kind is not None and setting in {field.name for field in fields(kind)}
+    found = [r for r in METHODS.values() if name in r.names()]
+    if name.startswith(COMMAND):
+        found = [r for r in METHODS.values() if r.command]
+    elif not found and ":" in name:
+        found = [restorers]  # any finds a class by its place
+    kinds = [getattr(registry.get(name), "settings_type", None) for registry in found]
+    return any(k is not None and setting in {f.name for f in fields(k)} for k in kinds)
 
 
 def make_restorer(name: str, options: MethodOptions | None = None) -> Restorer:
@@ -325,7 +329,8 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
         options: options that the method was created with.
 
     Returns:
-        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); empty without a weight file.
+        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); of a folder, of its documents and
+        safetensors with their names; empty without weights.
     """
     if method is None:
         return ""
@@ -333,4 +338,9 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
     weights = getattr(method, "weights", None) or options.weights
     if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
         weights = shipped
-    return digest_file(weights) if isinstance(weights, Path) else ""
+    if not isinstance(weights, Path):
+        return ""
+    if weights.is_dir():
+        files = [p for s in ("*.json", "*.safetensors") for p in sorted(weights.glob(s))]
+        return digest_of(digest_files(weights, files), versioned=False)
+    return digest_file(weights)

@@ -14,7 +14,8 @@ from typing import Annotated
 
 import msgspec
 
-from benchmark.methods.pose.command import RESULTS, run_program
+from benchmark.methods.pose.command import RESULTS
+from benchmark.methods.program import run_program
 from benchmark.metrics.bop import BopDataset, read_bop_results
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import (

@@ -4,15 +4,9 @@ For methods that run in an environment of their own, such as a container. The pr
 in BOP's layout and writes `results.csv` into it; docs/pose.md describes both.
 """
 
-import os
-import shlex
 import shutil
-import signal
-import subprocess
 import tempfile
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,8 +14,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.methods.program import run_program, words_of_command
 from benchmark.methods.protocol import Estimated, PoseView
-from benchmark.methods.registry import COMMAND, MethodOptions
+from benchmark.methods.registry import MethodOptions
 from benchmark.metrics.bop.bop_file import BopEstimate, read_bop_results
 from benchmark.metrics.bop.bop_model import read_vertices
 from benchmark.metrics.pose.pose_frames import PosePrediction
@@ -39,12 +34,6 @@ _SCENE = "test/000001"
 _DEPTH_SCALE_MM = 0.1
 _LARGEST = 65535
 _ROUGH = 0.1  # rotations in BOP's files may be that far off
-_TAIL = 300  # characters of the program's last words in an error
-_LOOK_S = 0.5
-_GRACE_S = 2.0  # from SIGTERM to SIGKILL
-_MOST_OUTPUT_BYTES = 512 * 2**20
-# Programs that leave the work to a server, which does not end with them.
-_CONTAINERS = ("docker", "podman", "nerdctl")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,23 +92,14 @@ class CommandMethod:
 
     def __init__(self, options: MethodOptions) -> None:
         self.config = configured(CommandConfig(), options.settings)
-        try:
-            words = shlex.split(self.config.command)
-        except ValueError as error:
-            raise ToolkitError(
-                f"not a command: {error}", field="--method", value=self.config.command
-            ) from error
-        if not words:
-            raise ToolkitError(
-                "needs a program", field="--method", value=COMMAND, hint=f"{COMMAND}docker run ..."
-            )
+        words = words_of_command(self.config.command, _FOLDER)
         if not self.config.data:
             raise ToolkitError(
                 "a command needs the models of its objects",
                 field="data",
                 hint="--set data=FOLDER, a data set in BOP's layout",
             )
-        self.words = words if any(_FOLDER in word for word in words) else [*words, _FOLDER]
+        self.words = words
         self._root = Path(self.config.data)
         self._boxes = _boxes(self._root, self.config.classes)
 
@@ -170,103 +150,6 @@ class CommandMethod:
             np.array([e.score for e, _ in kept]),
         )
         return Estimated(prediction)
-
-
-def run_program(
-    words: Sequence[str], logs: Path, timeout_s: float, *, hint: str, option: str = "--method"
-) -> None:
-    """Run a program in a group of its own, which ends with it; its output goes to files.
-
-    Args:
-        words: program and arguments.
-        logs: folder for its output.
-        timeout_s: seconds after which it is stopped.
-        hint: how more time is given.
-        option: that names the program.
-
-    Raises:
-        ToolkitError: it cannot be started, fails, takes too long, or prints without end.
-    """
-    out, errors = logs / "stdout", logs / "stderr"
-    try:
-        with out.open("wb") as to_out, errors.open("wb") as to_errors:
-            process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=to_out, stderr=to_errors,
-                start_new_session=True,
-            )  # fmt: skip
-    except FileNotFoundError as error:
-        raise ToolkitError("no such program", field=option, value=words[0]) from error
-    except (OSError, ValueError) as error:
-        raise ToolkitError(f"cannot start the command: {error}", value=words[0]) from error
-    if Path(words[0]).name in _CONTAINERS:
-        hint += f"; its container may still run: see `{words[0]} ps`"
-    try:
-        status = _wait(process, (out, errors), words[0], timeout_s, hint)
-    finally:
-        _end_group(process.pid)
-    if status:
-        said = (_tail(errors).strip() or _tail(out).strip())[-_TAIL:]
-        raise ToolkitError(
-            f"the command ended with status {status}: {' '.join(said.split())}", value=words[0]
-        )
-
-
-def _wait(
-    process: subprocess.Popen[bytes],
-    outputs: Sequence[Path],
-    program: str,
-    timeout_s: float,
-    hint: str,
-) -> int:
-    """The status of the program.
-
-    Raises:
-        ToolkitError: it takes too long, or prints without end.
-    """
-    ends = time.monotonic() + timeout_s
-    while True:
-        left = ends - time.monotonic()
-        try:
-            return process.wait(timeout=min(_LOOK_S, max(left, 0)))
-        except subprocess.TimeoutExpired:
-            if left <= _LOOK_S:
-                raise ToolkitError(
-                    f"the command took longer than {timeout_s:g} s", value=program, hint=hint
-                ) from None
-        if sum(path.stat().st_size for path in outputs) > _MOST_OUTPUT_BYTES:
-            raise ToolkitError(
-                f"the command printed more than {_MOST_OUTPUT_BYTES // 2**20} MB",
-                value=program, hint="is it in a loop?",
-            )  # fmt: skip
-
-
-def _tail(path: Path) -> str:
-    """The last words of a program."""
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - 4 * _TAIL))
-        return file.read().decode(errors="replace")
-
-
-def _end_group(leader: int) -> None:
-    """End what is left of a group of processes: politely, then in any case."""
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        try:
-            os.killpg(leader, number)
-        except ProcessLookupError:
-            return
-        ends = time.monotonic() + _GRACE_S
-        while time.monotonic() < ends and _is_group(leader):
-            time.sleep(0.05)
-
-
-def _is_group(leader: int) -> bool:
-    with suppress(ChildProcessError):
-        os.waitpid(leader, os.WNOHANG)  # one that has ended would count
-    try:
-        os.killpg(leader, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def write_frames(folder: Path, views: Sequence[PoseView], models: Path) -> None:
