@@ -60,6 +60,7 @@ def words(folder: Path, out: Path, size: tuple[int, int], *jobs: str) -> list[st
     return [
         *(sys.executable, "-m", "benchmark.cli.restore", str(folder), "--out", str(out)),
         *("--intrinsics", k, "--depth-scale", "0.001", "--quiet", *jobs),
+        *("--where", "everywhere"),
     ]
 
 
@@ -106,7 +107,7 @@ def steps(folder: Path, out: Path) -> None:
     cv2.setNumThreads(1)
     k = f"640,640,{(CAMERA[0] - 1) / 2},{(CAMERA[1] - 1) / 2}"
     recording = open_recordings([folder], ImageOptions(intrinsics=k, depth_scale=1e-3), out)[0]
-    restorer = Restorer.load()
+    restorer = Restorer.load(where="everywhere")
     setup = RestoreSetup(
         method="swindrnet", preset="compact", settings={}, weights_sha256="",
         size=[*(restorer.method.input_size or ())], backend="onnx", depth_format="same",
