@@ -1,0 +1,220 @@
+"""Which frames show objects that do not move against each other, and how well their labels say so.
+
+The judge measures a label in several frames at once where objects stand still and the camera moves.
+Camera poses are those of the set if its labels agree with them. Otherwise they follow from the
+labels: those of all objects of a frame move together. Frames of which neither holds, or in which
+the camera hardly moves, stand alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from benchmark.data.labelled import LabelledFrame, LabelledObject
+from std_toolkit.arrays import Array
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Symmetry, rotation_error, umeyama
+from std_toolkit.geometry.mesh import mesh_bounds
+from std_toolkit.geometry.symmetry import nearest_variant
+from std_toolkit.settings import Settings, limit
+
+Cameras = Literal["of the set", "from the labels", "none"]
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class StillSettings(Settings):
+    """When labels of several frames are those of a scene that stands still."""
+
+    off_mm: float = limit(
+        2.0, unit="mm", source="a fit to coordinates of 8 bits is up to 0.8 mm off"
+    )
+    """largest median over labels of how far the corners of an object lie from its place"""
+    fewest_frames: int = limit(4, source="`motion.fewest_frames` of the judge")
+    """frames that a scene needs"""
+    parallax_deg: float = limit(
+        5.0, unit="deg", source="frames of a camera that stands still repeat one measurement"
+    )
+    """smallest angle between two views of the objects"""
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """An object of a scene over its frames.
+
+    Attributes:
+        label: its label in the first frame that has one.
+        corners: (8, 3) of its bounding box, or about its origin where it has no mesh.
+        T_cam_obj: its labels by frame.
+    """
+
+    label: LabelledObject
+    corners: Array
+    T_cam_obj: Mapping[int, SE3]
+
+    @property
+    def symmetry(self) -> Symmetry:
+        return self.label.symmetry.symmetry()
+
+    @property
+    def centre(self) -> Array:
+        """(3,) centre of the box."""
+        return np.asarray(self.corners.mean(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Frames that are judged together.
+
+    Attributes:
+        frames: those of a scene that stands still, or a single one.
+        things: its objects by name.
+        cameras: where the camera poses come from.
+        T_world_cam: by frame; the identity of a single one.
+        T_world_obj: by name.
+        off: distance of the centre in mm and angle in degrees of each label from its object's
+            place, by frame and name; empty for a single frame.
+    """
+
+    frames: Sequence[LabelledFrame]
+    things: Mapping[str, Thing]
+    cameras: Cameras
+    T_world_cam: Mapping[int, SE3]
+    T_world_obj: Mapping[str, SE3]
+    off: Mapping[tuple[int, str], tuple[float, float]] = field(default_factory=dict)
+
+
+def groups_of(frames: Sequence[LabelledFrame]) -> list[Group]:
+    """The frames of one scene in groups that can be judged: all together, or each alone.
+
+    Raises:
+        ToolkitError: a mesh is damaged.
+    """
+    things = things_of(frames)
+    limits = StillSettings.current()
+    if len(frames) >= limits.fewest_frames:
+        given = {f.index: f.T_world_cam for f in frames if f.T_world_cam is not None}
+        found = [("of the set", given)] if len(given) == len(frames) else []
+        found += [("from the labels", c)] if (c := _cameras_by_labels(frames, things)) else []
+        for name, cameras in found:
+            placed = {n: _place(t, cameras) for n, t in things.items()}
+            off = [o for n, t in things.items() for o in _corners_off(t, placed[n], cameras)]
+            if not off or 1000 * float(np.median(off)) > limits.off_mm:
+                continue
+            if _parallax_deg(cameras, things, placed) < limits.parallax_deg:
+                break
+            beside = {
+                (f, n): _beside(t, placed[n], cameras[f] @ T)
+                for n, t in things.items()
+                for f, T in t.T_cam_obj.items()
+                if f in cameras
+            }
+            kept = [f for f in frames if f.index in cameras]
+            return [Group(kept, things, name, cameras, placed, beside)]  # type: ignore[arg-type]
+    return [_alone(f, things) for f in frames]
+
+
+def things_of(frames: Sequence[LabelledFrame]) -> dict[str, Thing]:
+    """The objects of a scene by name."""
+    labels: dict[str, LabelledObject] = {}
+    poses: dict[str, dict[int, SE3]] = {}
+    for frame in frames:
+        for item in frame.objects:
+            labels.setdefault(item.name, item)
+            poses.setdefault(item.name, {})[frame.index] = item.T_cam_obj
+    return {n: Thing(o, _box(o), poses[n]) for n, o in labels.items()}
+
+
+def _alone(frame: LabelledFrame, things: Mapping[str, Thing]) -> Group:
+    poses = {o.name: o.T_cam_obj for o in frame.objects}
+    shown = {n: things[n] for n in poses}
+    return Group([frame], shown, "none", {frame.index: SE3.identity()}, poses)
+
+
+def _box(item: LabelledObject) -> Array:
+    low, high = np.full(3, -0.05), np.full(3, 0.05)
+    if item.mesh is not None:
+        low, high = mesh_bounds(item.mesh.load())
+    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1])
+                     for z in (low[2], high[2])])  # fmt: skip
+
+
+def _cameras_by_labels(
+    frames: Sequence[LabelledFrame], things: Mapping[str, Thing]
+) -> dict[int, SE3] | None:
+    """Camera poses under which the labels of each frame lie best at the places of the objects."""
+    if len(things) < 2:
+        return None
+    first = max(things.values(), key=lambda t: (len(t.T_cam_obj), t.symmetry.is_trivial))
+    cameras = {f: T.inverse() for f, T in first.T_cam_obj.items()}
+    for _ in range(_ROUNDS):
+        placed = {n: _place(t, cameras) for n, t in things.items()
+                  if any(f in cameras for f in t.T_cam_obj)}  # fmt: skip
+        for frame in frames:
+            world, seen = [], []
+            for item in frame.objects:
+                if item.name not in placed:
+                    continue
+                thing = things[item.name]
+                there = placed[item.name]
+                here = item.T_cam_obj
+                if frame.index in cameras:
+                    camera = cameras[frame.index]
+                    near = nearest_variant(camera @ here, there, thing.corners, thing.symmetry)
+                    here = camera.inverse() @ near
+                world.append(there @ thing.corners)
+                seen.append(here @ thing.corners)
+            # One object alone would follow its own label.
+            if len(world) < 2:
+                cameras.pop(frame.index, None)
+                continue
+            try:
+                fit = umeyama(np.concatenate(seen), np.concatenate(world), with_scale=False)
+            except ToolkitError:
+                continue
+            cameras[frame.index] = SE3(fit.R, fit.t)
+    enough = len(cameras) >= StillSettings.current().fewest_frames
+    return cameras if enough else None
+
+
+def _place(thing: Thing, cameras: Mapping[int, SE3]) -> SE3:
+    """The pose in the world that is nearest to those of all frames."""
+    poses = [cameras[f] @ T for f, T in thing.T_cam_obj.items() if f in cameras]
+    if not poses:
+        return next(iter(thing.T_cam_obj.values()))
+    if not thing.symmetry.is_trivial:
+        poses = [nearest_variant(T, poses[0], thing.corners, thing.symmetry) for T in poses]
+    corners = np.stack([T @ thing.corners for T in poses])
+    apart = np.linalg.norm(corners[:, None] - corners[None], axis=3).mean(axis=2)
+    return poses[int(np.argmin(apart.sum(axis=1)))]
+
+
+def _corners_off(thing: Thing, place: SE3, cameras: Mapping[int, SE3]) -> list[float]:
+    """Mean distance in metres of the corners from their place, by frame."""
+    found = []
+    for f, T in thing.T_cam_obj.items():
+        if f in cameras:
+            near = nearest_variant(cameras[f] @ T, place, thing.corners, thing.symmetry)
+            off = np.linalg.norm(near @ thing.corners - place @ thing.corners, axis=1)
+            found.append(float(off.mean()))
+    return found
+
+
+def _beside(thing: Thing, place: SE3, pose: SE3) -> tuple[float, float]:
+    near = nearest_variant(pose, place, thing.corners, thing.symmetry)
+    mm = 1000 * float(np.linalg.norm(near @ thing.centre - place @ thing.centre))
+    return mm, float(np.rad2deg(rotation_error(pose, place, thing.symmetry)))
+
+
+def _parallax_deg(
+    cameras: Mapping[int, SE3], things: Mapping[str, Thing], placed: Mapping[str, SE3]
+) -> float:
+    """Largest angle between two views of the middle of the objects."""
+    middle = np.mean([placed[n] @ t.centre for n, t in things.items()], axis=0)
+    rays = np.array([T.t - middle for T in cameras.values()])
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9)
+    return float(np.rad2deg(np.arccos(np.clip(rays @ rays.T, -1, 1)).max()))
