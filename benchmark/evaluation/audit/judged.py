@@ -102,15 +102,19 @@ def judge_group(
 
 
 def audited(
-    name: str, group: Group, source: LabelledSet, options: CheckOptions
+    name: str, group: Group, source: LabelledSet, options: CheckOptions, *, whole: bool = False
 ) -> JudgedGroup:
-    """Judge a group; see `judge_group`."""
+    """Judge a group; see `judge_group`.
+
+    Args:
+        whole: whether it has all frames of the scene that were read.
+    """
     report, scene = judge_group(name, group, source, options)
     alone = group.cameras == "none"
     keys = {k: f.key.name for k, f in enumerate(group.frames)}
+    shown = "" if whole else keys[0] if alone else f"{keys[0]} to {keys[len(keys) - 1]}"
     labels = [
-        _audited(item, report, scene, name, keys[0] if alone else "", alone=alone)
-        for item in report.objects
+        _audited(item, report, scene, name, shown, alone=alone) for item in report.objects
     ]
     found = _disagreements(report, scene, group, name, keys, options)
     if alone:
@@ -160,7 +164,9 @@ def _audited(
         }
     overlap = item.entry("overlap_mm")
     grade, reason = item.verdict, reason_of(item, report)
-    if at is None and grade == "fits":
+    if at is None and not item.frames_seen:
+        reason = "no image shows it" + (f"; {reason}" if overlap is not None else "")
+    elif at is None and grade == "fits":
         # Distances in pixels that are small show no size of an error.
         grade, reason = "unknown", "its images do not determine its pose"
     return AuditedLabel(

@@ -27,7 +27,8 @@ class AuditedLabel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """One object in a group of frames that were judged together: all of a scene, or one.
 
     Attributes:
-        scene, frame: `frame` is "" where all frames of a scene were judged together.
+        scene, frame: `frame` is "" where all frames of a scene were judged together, and "A to B"
+            where a run of them was.
         object, model, material: names.
         frames: in which it was measured.
         error_mm, error_deg: from the label to where the images put the object; null if nothing
@@ -87,6 +88,7 @@ class AuditedScene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     Attributes:
         frames, looked_at: frames of the set, and those that were read.
         cameras: where camera poses come from: "of the set", "from the labels" or "none".
+        alone: frames that were judged alone.
         labels: number of labels in these frames.
         off_mm, off_deg: median over labels of the distance from their object's place, and of the
             angle; null where frames stand alone.
@@ -102,6 +104,7 @@ class AuditedScene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     frames: Count
     looked_at: Count
     cameras: str
+    alone: Count
     labels: Count
     off_mm: Number = None
     off_deg: Number = None

@@ -10,20 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
 from benchmark.data.labelled import LabelledFrame, LabelledObject
 from std_toolkit.arrays import Array
-from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Symmetry, rotation_error, umeyama
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.geometry.symmetry import nearest_variant
 from std_toolkit.settings import Settings, limit
 
 Cameras = Literal["of the set", "from the labels", "none"]
-_ROUNDS = 3
+_ROUNDS, _MOST_PAIRS = 3, 30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,33 +89,91 @@ class Group:
 
 
 def groups_of(frames: Sequence[LabelledFrame]) -> list[Group]:
-    """The frames of one scene in groups that can be judged: all together, or each alone.
+    """The frames of one scene in groups that can be judged: runs that stand still, or each alone.
 
     Raises:
         ToolkitError: a mesh is damaged.
     """
     things = things_of(frames)
+    given = {f.index: f.T_world_cam for f in frames if f.T_world_cam is not None}
+    if len(given) == len(frames):
+        whole = _still(frames, things, given, "of the set")
+        if whole is not None:
+            return [whole]
+    groups = []
+    for run in _runs(frames, things):
+        mine = things_of(run)
+        cameras = _cameras_by_labels(run, mine)
+        found = None if cameras is None else _still(run, mine, cameras, "from the labels")
+        kept = set() if found is None else {f.index for f in found.frames}
+        groups += [] if found is None else [found]
+        groups += [_alone(f, things) for f in run if f.index not in kept]
+    return groups
+
+
+def _still(
+    frames: Sequence[LabelledFrame],
+    things: Mapping[str, Thing],
+    cameras: Mapping[int, SE3],
+    name: Cameras,
+) -> Group | None:
+    """The frames as a scene that stands still; None if it does not, or cannot be measured so."""
     limits = StillSettings.current()
-    if len(frames) >= limits.fewest_frames:
-        given = {f.index: f.T_world_cam for f in frames if f.T_world_cam is not None}
-        found = [("of the set", given)] if len(given) == len(frames) else []
-        found += [("from the labels", c)] if (c := _cameras_by_labels(frames, things)) else []
-        for name, cameras in found:
-            placed = {n: _place(t, cameras) for n, t in things.items()}
-            off = [o for n, t in things.items() for o in _corners_off(t, placed[n], cameras)]
-            if not off or 1000 * float(np.median(off)) > limits.off_mm:
-                continue
-            if _parallax_deg(cameras, things, placed) < limits.parallax_deg:
-                break
-            beside = {
-                (f, n): _beside(t, placed[n], cameras[f] @ T)
-                for n, t in things.items()
-                for f, T in t.T_cam_obj.items()
-                if f in cameras
-            }
-            kept = [f for f in frames if f.index in cameras]
-            return [Group(kept, things, name, cameras, placed, beside)]  # type: ignore[arg-type]
-    return [_alone(f, things) for f in frames]
+    kept = [f for f in frames if f.index in cameras]
+    if len(kept) < limits.fewest_frames:
+        return None
+    placed = {n: _place(t, cameras) for n, t in things.items()}
+    off = [o for n, t in things.items() for o in _corners_off(t, placed[n], cameras)]
+    if not off or 1000 * float(np.median(off)) > limits.off_mm:
+        return None
+    if _parallax_deg(cameras, things, placed) < limits.parallax_deg:
+        return None
+    beside = {
+        (f, n): _beside(t, placed[n], cameras[f] @ T)
+        for n, t in things.items()
+        for f, T in t.T_cam_obj.items()
+        if f in cameras
+    }
+    return Group(kept, things, name, cameras, placed, beside)
+
+
+def _runs(
+    frames: Sequence[LabelledFrame], things: Mapping[str, Thing]
+) -> list[list[LabelledFrame]]:
+    """Frames that follow each other, cut where objects were moved against each other."""
+    runs: list[list[LabelledFrame]] = []
+    for frame in frames:
+        if runs and _moved_alike(runs[-1][-1], frame, things):
+            runs[-1].append(frame)
+        else:
+            runs.append([frame])
+    return runs
+
+
+def _moved_alike(a: LabelledFrame, b: LabelledFrame, things: Mapping[str, Thing]) -> bool:
+    """Whether one motion of the camera explains the labels of two frames."""
+    before = {o.name: o.T_cam_obj for o in a.objects}
+    both = [o for o in b.objects if o.name in before]
+    if len(both) < 2:
+        return False
+    corners = np.stack([things[o.name].corners for o in both])
+    there = np.stack([before[o.name] @ c for o, c in zip(both, corners, strict=True)])
+    motion: SE3 | None = None
+    here = there
+    for _ in range(2):
+        poses = [o.T_cam_obj for o in both]
+        if motion is not None:
+            back = motion.inverse()
+            poses = [
+                back @ nearest_variant(motion @ o.T_cam_obj, before[o.name], c,
+                                       things[o.name].symmetry)
+                for o, c in zip(both, corners, strict=True)
+            ]
+        here = np.stack([T @ c for T, c in zip(poses, corners, strict=True)])
+        motion = _fitted(here, there)
+    assert motion is not None
+    off = _off(motion, here, there)
+    return 1000 * float(np.median(off)) <= StillSettings.current().off_mm
 
 
 def things_of(frames: Sequence[LabelledFrame]) -> dict[str, Thing]:
@@ -172,13 +230,34 @@ def _cameras_by_labels(
             if len(world) < 2:
                 cameras.pop(frame.index, None)
                 continue
-            try:
-                fit = umeyama(np.concatenate(seen), np.concatenate(world), with_scale=False)
-            except ToolkitError:
-                continue
-            cameras[frame.index] = SE3(fit.R, fit.t)
+            cameras[frame.index] = _fitted(np.stack(seen), np.stack(world))
     enough = len(cameras) >= StillSettings.current().fewest_frames
     return cameras if enough else None
+
+
+def _fitted(here: Array, there: Array) -> SE3:
+    """The rigid motion (N, 8, 3) -> (N, 8, 3) of most objects, those that are off left out.
+
+    Least squares, or least absolute distances, would turn about the axis through two objects to
+    please a third one. Pairs of objects therefore propose motions, and the median decides.
+    """
+    pairs = list(combinations(range(len(here)), 2))
+    step = -(-len(pairs) // _MOST_PAIRS)
+    found = [_off(_fit(here[list(p)], there[list(p)]), here, there) for p in pairs[::step]]
+    best = min(found, key=lambda off: (float(np.median(off)), float(off.sum())))
+    limit_m = max(2 * float(np.median(best)), StillSettings.current().off_mm / 1000)
+    kept = best <= limit_m
+    return _fit(here[kept], there[kept])
+
+
+def _fit(here: Array, there: Array) -> SE3:
+    fit = umeyama(here.reshape(-1, 3), there.reshape(-1, 3), with_scale=False)
+    return SE3(fit.R, fit.t)
+
+
+def _off(motion: SE3, here: Array, there: Array) -> Array:
+    """(N,) mean distances in metres of the corners."""
+    return np.asarray(np.linalg.norm(motion @ here - there, axis=2).mean(axis=1))
 
 
 def _place(thing: Thing, cameras: Mapping[int, SE3]) -> SE3:

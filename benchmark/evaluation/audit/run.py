@@ -137,8 +137,9 @@ class _Judge:
 
     def __call__(self, item: _Item) -> JudgedGroup:
         source = _open(self.options)
+        whole = 1 < len(item.indices) == len(item.scene.indices)
         found = [
-            audited(item.scene.name, group, source, CheckOptions())
+            audited(item.scene.name, group, source, CheckOptions(), whole=whole)
             for group in groups_of([source.labels(i) for i in item.indices])
         ]
         return JudgedGroup.joined(found)
@@ -156,7 +157,8 @@ def _about(
         scene=scene.name,
         frames=scene.frames,
         looked_at=len(frames),
-        cameras=groups[0].cameras,
+        cameras=next((g.cameras for g in groups if g.cameras != "none"), "none"),
+        alone=sum(g.cameras == "none" for g in groups),
         labels=len(labels),
         off_mm=typical[0],
         off_deg=typical[1],
