@@ -52,7 +52,10 @@ class SceneLabels:
     def labels(self, index: int) -> LabelledFrame:
         frame, objects = self.scene.frames[index], []
         for item in self.scene.objects.objects:
-            model, pose = self.scene.objects.model(item.model), self.scene.T_cam_obj(frame.id, item.id)
+            model, pose = (
+                self.scene.objects.model(item.model),
+                self.scene.T_cam_obj(frame.id, item.id),
+            )
             if pose is None:
                 continue
             mesh = MeshFile(self.scene.mesh_path(model))

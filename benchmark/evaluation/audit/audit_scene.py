@@ -91,7 +91,9 @@ class AuditScene(Scene):
                 for k, i in enumerate(self._indices)
             ]
         )
-        self.__dict__["labels"] = Labels(labels=[self._label(i, n, group) for i, n in self.names.items()])
+        self.__dict__["labels"] = Labels(
+            labels=[self._label(i, n, group) for i, n in self.names.items()]
+        )
 
     def _label(self, object_id: int, name: str, group: Group) -> Label:
         T_world_obj = group.T_world_obj[name]

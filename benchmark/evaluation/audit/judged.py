@@ -11,11 +11,12 @@ import numpy as np
 from benchmark.data.labelled import LabelledSet
 from benchmark.evaluation.audit.audit_scene import AuditScene
 from benchmark.evaluation.audit.pictures import picture_of
-from benchmark.evaluation.audit.record import AuditedLabel, Disagreement, Size
+from benchmark.evaluation.audit.record import AuditedLabel, Disagreement, Size, plain
 from benchmark.evaluation.audit.rigid import Group
 from std_toolkit.arrays import Array
 from std_toolkit.checks.gates.judge import judge_scene
 from std_toolkit.checks.gates.located import SHIFT, TURN, located_by
+from std_toolkit.checks.gates.placement import PlacementSettings
 from std_toolkit.checks.judgements import reason_of
 from std_toolkit.checks.measure.alignments import measure_alignments
 from std_toolkit.checks.measure.contours import LabelCaster, object_centre
@@ -110,12 +111,11 @@ def audited(
         whole: whether it has all frames of the scene that were read.
     """
     report, scene = judge_group(name, group, source, options)
+    name = plain(name)
     alone = group.cameras == "none"
     keys = {k: f.key.name for k, f in enumerate(group.frames)}
     shown = "" if whole else keys[0] if alone else f"{keys[0]} to {keys[len(keys) - 1]}"
-    labels = [
-        _audited(item, report, scene, name, shown, alone=alone) for item in report.objects
-    ]
+    labels = [_audited(item, report, scene, name, shown, alone=alone) for item in report.objects]
     found = _disagreements(report, scene, group, name, keys, options)
     if alone:
         found += [
@@ -165,15 +165,17 @@ def _audited(
     overlap = item.entry("overlap_mm")
     grade, reason = item.verdict, reason_of(item, report)
     if at is None and not item.frames_seen:
-        reason = "no image shows it" + (f"; {reason}" if overlap is not None else "")
+        reason = "no image shows it"
     elif at is None and grade == "fits":
         # Distances in pixels that are small show no size of an error.
         grade, reason = "unknown", "its images do not determine its pose"
+    if overlap is not None and overlap.value is not None:
+        reason += f"; reaches {overlap.value:.1f} mm into {overlap.text}"
     return AuditedLabel(
         scene=name,
         frame=frame,
-        object=scene.names[item.object],
-        model=item.model,
+        object=plain(scene.names[item.object]),
+        model=plain(item.model),
         material=item.material,
         frames=item.frames_seen,
         depth_mm=item.value("depth_mm"),
@@ -244,16 +246,25 @@ def _disagreements(
     for item in report.objects:
         found += [
             Disagreement(
-                scene=name, frame=keys[f.frame], object=scene.names[item.object], what=f.fault
+                scene=name,
+                frame=keys[f.frame],
+                object=plain(scene.names[item.object]),
+                what=f.fault,
             )
             for f in item.frames
             if f.fault
         ]
+        overlap = item.entry("overlap_mm")
+        if overlap is not None and (overlap.value or 0) >= PlacementSettings.current().noted_mm:
+            what = f"reaches {overlap.value:.1f} mm into {overlap.text}"
+            frame = keys[0] if group.cameras == "none" else ""
+            label = plain(scene.names[item.object])
+            found.append(Disagreement(scene=name, frame=frame, object=label, what=what))
     by_index = {f.index: f.key.name for f in group.frames}
     for (index, thing), (mm, deg) in group.off.items():
         if mm > options.max_motion_mm or deg > options.max_motion_deg:
             what = f"{mm:.1f} mm and {deg:.1f} deg from where its other frames put it"
             found.append(
-                Disagreement(scene=name, frame=by_index[index], object=thing, what=what)
+                Disagreement(scene=name, frame=by_index[index], object=plain(thing), what=what)
             )
     return found

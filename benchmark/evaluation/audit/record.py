@@ -14,6 +14,18 @@ Verdict = Literal["fits", "unknown", "doubtful", "wrong"]
 Number = float | None
 
 
+_UNSAFE = {ord(c): "_" for c in '<>"\x7f'} | dict.fromkeys(range(32), "_")
+
+
+def plain(text: str) -> str:
+    """A name of a data set without characters that documents refuse.
+
+    >>> plain("a<b>")
+    'a_b_'
+    """
+    return text.translate(_UNSAFE) or "_"
+
+
 class Size(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A length in mm or an angle in degrees, with the smallest and largest that the 95 % region of
     the measured motion holds."""
@@ -72,6 +84,7 @@ class Disagreement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """A frame in which a label and the images disagree, or a label and its other frames.
 
     Attributes:
+        frame: "" for all frames that were judged together.
         object: "" for the whole frame.
         what: in words.
     """

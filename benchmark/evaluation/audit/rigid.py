@@ -165,8 +165,8 @@ def _moved_alike(a: LabelledFrame, b: LabelledFrame, things: Mapping[str, Thing]
         if motion is not None:
             back = motion.inverse()
             poses = [
-                back @ nearest_variant(motion @ o.T_cam_obj, before[o.name], c,
-                                       things[o.name].symmetry)
+                back
+                @ nearest_variant(motion @ o.T_cam_obj, before[o.name], c, things[o.name].symmetry)
                 for o, c in zip(both, corners, strict=True)
             ]
         here = np.stack([T @ c for T, c in zip(poses, corners, strict=True)])

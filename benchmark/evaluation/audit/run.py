@@ -24,6 +24,7 @@ from benchmark.evaluation.audit.record import (
     AuditedLabel,
     AuditedScene,
     Disagreement,
+    plain,
 )
 from benchmark.evaluation.audit.rigid import Group, groups_of
 from benchmark.evaluation.audit.unseen import unseen
@@ -43,9 +44,7 @@ SIZES = ("error_mm", "error_deg", "across_mm")
 @cache
 def _open(options: AuditOptions) -> LabelledSet:
     """The set, listed once in a process."""
-    return open_labels(
-        options.set, options.split, models=options.models, material=options.material
-    )
+    return open_labels(options.set, options.split, models=options.models, material=options.material)
 
 
 def run_audit(options: AuditOptions) -> Audit:
@@ -154,7 +153,7 @@ def _about(
     typical = [round(float(x), 3) for x in np.median(off, axis=0)] if len(off) else [None, None]
     most = [round(float(x), 3) for x in off.max(axis=0)] if len(off) else [None, None]
     return AuditedScene(
-        scene=scene.name,
+        scene=plain(scene.name),
         frames=scene.frames,
         looked_at=len(frames),
         cameras=next((g.cameras for g in groups if g.cameras != "none"), "none"),
@@ -189,11 +188,9 @@ def _assembled(
         found += [row for group in mine for row in group.disagreements]
         problems = one.scene.problems + [p for group in mine for p in group.problems]
         without = sum(group.without_depth for group in mine)
-        scenes.append(
-            msgspec.structs.replace(one.scene, problems=problems, without_depth=without)
-        )
+        scenes.append(msgspec.structs.replace(one.scene, problems=problems, without_depth=without))
     audit = Audit(
-        set=options.name or options.set.resolve().name,
+        set=plain(options.name or options.set.resolve().name),
         split=options.split,
         root=str(options.set),
         limits={k: float(v) for k, v in asdict(CheckOptions()).items()} | changed(),

@@ -122,7 +122,7 @@ def _frames(audit: Audit) -> list[page.Block]:
         return []
     headings = ("scene", "frame", "object", "what disagrees")
     rows = [
-        Row([Cell(text=d.scene), Cell(text=d.frame), Cell(text=d.object or "(frame)"),
+        Row([Cell(text=d.scene), Cell(text=d.frame or "all"), Cell(text=d.object or "(frame)"),
              Cell(text=d.what)])
         for d in audit.disagreements[:_MOST_ROWS]
     ]  # fmt: skip

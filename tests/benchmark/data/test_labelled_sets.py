@@ -5,44 +5,22 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import field_sets as sets
 import numpy as np
 import pytest
 import trimesh
-from field_sets import BOXES
 
 from benchmark.data.field.label_sets import open_labels
 from benchmark.data.labelled import LabelledSet
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.camera import Camera
+from tests.benchmark.bop_on_disk import write_bop
+from tests.benchmark.data import field_sets as sets
+from tests.benchmark.data.field_sets import BOXES
 
 
 # What the sensor of these sets reads too far on either box.
 RAW_ERRORS_M = (0.0, 0.02)
-
-
-def write_bop(root: Path, rows: dict[int, list[tuple[int, SE3]]], *, camera: bool = False) -> Path:
-    """A set in BOP's form without images: boxes 1 and 2."""
-    scene = root / "test" / "000001"
-    scene.mkdir(parents=True)
-    (root / "models").mkdir()
-    for number in (1, 2):
-        mesh = trimesh.creation.box((60, 40, 100))
-        mesh.export(root / "models" / f"obj_{number:06d}.ply")
-    gt, cameras = {}, {}
-    for image, placed in rows.items():
-        gt[str(image)] = [
-            {"obj_id": n, "cam_R_m2c": T.R.ravel().tolist(), "cam_t_m2c": (1000 * T.t).tolist()}
-            for n, T in placed
-        ]
-        row: dict[str, object] = {"cam_K": [500, 0, 320, 0, 500, 240, 0, 0, 1]}
-        if camera:
-            row |= {"cam_R_w2c": np.eye(3).ravel().tolist(), "cam_t_w2c": [10.0 * image, 0, 0]}
-        cameras[str(image)] = row
-    (scene / "scene_gt.json").write_text(json.dumps(gt))
-    (scene / "scene_camera.json").write_text(json.dumps(cameras))
-    return root
 
 
 def falls_on_its_depth(source: LabelledSet, index: int = 0) -> None:

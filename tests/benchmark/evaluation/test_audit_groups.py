@@ -46,9 +46,7 @@ def frames(
             )
             for n in names
         )
-        found.append(
-            LabelledFrame(i, FrameKey("s", f"{i:03d}"), objects, T if cameras else None)
-        )
+        found.append(LabelledFrame(i, FrameKey("s", f"{i:03d}"), objects, T if cameras else None))
     return found
 
 
@@ -141,9 +139,7 @@ def test_a_round_object_may_be_labelled_at_any_turn() -> None:
 
 @pytest.mark.parametrize("truth", [(0.0, 0, 0), (5.0, 0, 0), (0, 0, 9.0), (0.4, -0.2, 0.1)])
 @pytest.mark.parametrize("spread", [(1.0, 1, 1), (0.3, 0.3, 8.0), (1.0, 2.0, 0.0)])
-def test_bounds_hold_the_truth(
-    truth: tuple[float, ...], spread: tuple[float, ...]
-) -> None:
+def test_bounds_hold_the_truth(truth: tuple[float, ...], spread: tuple[float, ...]) -> None:
     """In at least 95 of 100 measurements, whatever the shape of their errors."""
     rng = np.random.default_rng(0)
     R = so3_exp([0.4, 0.2, 0.9])
