@@ -25,6 +25,7 @@ MATERIALS: dict[Kind, Material] = {
     Kind.TRANSPARENT: "transparent",
     Kind.SPECULAR: "specular",
 }
+NO_SYMMETRY = SymmetryModel()
 _MESHES = (".obj", ".ply", ".glb", ".stl")
 
 
@@ -81,7 +82,7 @@ class LabelledObject:
     mesh: MeshFile | None
     T_cam_obj: SE3
     material: Material
-    symmetry: SymmetryModel = SymmetryModel()
+    symmetry: SymmetryModel = NO_SYMMETRY
     rotation_off: float = 0.0
 
 

@@ -1,4 +1,4 @@
-"""Sets in BOP's form, written in milliseconds: labels, cameras and models, with or without images."""
+"""Sets in BOP's form, written in milliseconds: labels, cameras and models, without images."""
 
 from __future__ import annotations
 

@@ -203,14 +203,10 @@ def size_of(vector: Array, covariance: Array) -> Size:
     radii = np.sqrt(chi2 * values)
     along = axes.T @ vector
     length = float(np.linalg.norm(vector))
-    if ((along[known] / np.maximum(radii[known], 1e-12)) ** 2).sum() <= 1:
-        low = 0.0
-    else:
-        low = length
+    inside = float(((along[known] / np.maximum(radii[known], 1e-12)) ** 2).sum()) <= 1
     around = along + _sphere(len(vector)) * radii
     reached = np.linalg.norm(around, axis=1)
-    if low > 0:
-        low = float(reached.min())
+    low = 0.0 if inside else float(reached.min())
     return Size(value=round(length, 2), low=round(low, 2), high=round(float(reached.max()), 2))
 
 

@@ -1,4 +1,4 @@
-"""A picture of a label: its outline in the image, and that of where the evidence puts the object."""
+"""A picture of a label: its outline, and that of where the evidence puts the object."""
 
 from __future__ import annotations
 

@@ -18,7 +18,6 @@ from tests.benchmark.bop_on_disk import write_bop
 from tests.benchmark.data import field_sets as sets
 from tests.benchmark.data.field_sets import BOXES
 
-
 # What the sensor of these sets reads too far on either box.
 RAW_ERRORS_M = (0.0, 0.02)
 
@@ -91,7 +90,7 @@ def test_bop_without_images(tmp_path: Path) -> None:
     gt["0"][1]["cam_R_m2c"] = R.ravel().tolist()
     path.write_text(json.dumps(gt))
     source = open_labels(root, "bop")
-    assert [str(k) for k in source.keys()] == ["000001/000000", "000001/000007"]
+    assert [str(k) for k in source.keys()]  # noqa: SIM118 == ["000001/000000", "000001/000007"]
     frame = source.labels(0)
     assert [o.name for o in frame.objects] == ["obj_000001_1", "obj_000001_2"]
     assert not frame.has_images

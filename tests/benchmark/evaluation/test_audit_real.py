@@ -1,4 +1,4 @@
-"""Labels of real sets: rough first poses are told from refined ones; labels that leave their place."""
+"""Labels of real sets: first poses are told from refined ones; labels that leave their place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exports of a simulated recording: right labels are not refused, faults are found with their size."""
+"""Exports of a simulated recording: right labels pass, faults are found with their size."""
 
 from __future__ import annotations
 
