@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.labelled import FrameImages, LabelledSet
 from benchmark.evaluation.audit.rigid import Group
-from std_toolkit.geometry import Camera
+from std_toolkit.checks.gates.located import SHIFT, TURN, Located
+from std_toolkit.checks.measure.contours import object_centre
+from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import mesh_diameter, mesh_extents
 from std_toolkit.scene import (
     CameraModel,
@@ -26,6 +30,7 @@ from std_toolkit.scene import (
     SceneInfo,
 )
 from std_toolkit.scene.document import safe_name
+from std_toolkit.scene.memory_scene import MemoryScene
 
 _KEPT_FRAMES = 3
 # Of sets without images: nothing is projected then.
@@ -121,3 +126,38 @@ class AuditScene(Scene):
     def read_depth(self, frame: Frame) -> NDArray[np.float32] | None:
         """See `Scene.read_depth`."""
         return self._read(frame.id).depth
+
+
+class MovedScene(MemoryScene):
+    """The frames of an audit with labels moved; see `of`."""
+
+    def __init__(self, scene: AuditScene, labels: Labels) -> None:
+        super().__init__(scene, labels=labels)
+        self._of = scene
+
+    @staticmethod
+    def of(scene: AuditScene, motions: Mapping[int, Located]) -> MovedScene:
+        """The scene with some objects where a measurement puts them, by object id."""
+        labels = scene.labels
+        for object_id, at in motions.items():
+            label, pose = labels.of(object_id), scene.T_world_obj(object_id)
+            assert label is not None
+            assert pose is not None
+            centre = object_centre(scene, object_id)
+            R = so3_exp(np.deg2rad(at.motion[TURN]))
+            change = SE3(R, centre - R @ centre + at.motion[SHIFT] / 1000)
+            moved = msgspec.structs.replace(label, T_world_obj=(change @ pose).flat())
+            labels = labels.with_label(moved)
+        return MovedScene(scene, labels)
+
+    def camera(self, frame: Frame) -> Camera:
+        """See `Scene.camera`."""
+        return self._of.camera(frame)
+
+    def read_color(self, frame: Frame) -> NDArray[np.uint8]:
+        """See `Scene.read_color`."""
+        return self._of.read_color(frame)
+
+    def read_depth(self, frame: Frame) -> NDArray[np.float32] | None:
+        """See `Scene.read_depth`."""
+        return self._of.read_depth(frame)

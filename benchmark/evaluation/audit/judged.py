@@ -9,13 +9,14 @@ import msgspec
 import numpy as np
 
 from benchmark.data.labelled import LabelledSet
-from benchmark.evaluation.audit.audit_scene import AuditScene
+from benchmark.evaluation.audit.audit_scene import AuditScene, MovedScene
 from benchmark.evaluation.audit.pictures import picture_of
 from benchmark.evaluation.audit.record import AuditedLabel, Disagreement, Size, plain
 from benchmark.evaluation.audit.rigid import Group
 from std_toolkit.arrays import Array
+from std_toolkit.checks.gates.gate import REFUSED
 from std_toolkit.checks.gates.judge import judge_scene
-from std_toolkit.checks.gates.located import SHIFT, TURN, located_by
+from std_toolkit.checks.gates.located import SHIFT, TURN, Located, located_by
 from std_toolkit.checks.gates.placement import PlacementSettings
 from std_toolkit.checks.judgements import reason_of
 from std_toolkit.checks.measure.alignments import measure_alignments
@@ -26,7 +27,9 @@ from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame
 from std_toolkit.checks.measure.textures import compare_textures
 from std_toolkit.checks.result import CheckReport, ObjectCheck
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import so3_exp, so3_log
 from std_toolkit.options import CheckOptions
+from std_toolkit.scene import Scene
 from std_toolkit.scene.document import safe_name
 
 # Quantile 0.95 of chi square with one, two and three degrees of freedom.
@@ -64,10 +67,26 @@ class JudgedGroup:
         )
 
 
-def judge_group(
-    name: str, group: Group, source: LabelledSet, options: CheckOptions
-) -> tuple[CheckReport, AuditScene]:
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The judge's report on a group.
+
+    Attributes:
+        scene: the frames as the judge reads them.
+        report: its report.
+        located: where the evidence puts the objects that it says something of, by object id.
+    """
+
+    scene: AuditScene
+    report: CheckReport
+    located: Mapping[int, Located]
+
+
+def judge_group(name: str, group: Group, source: LabelledSet, options: CheckOptions) -> Judged:
     """Judge the labels of a group with the judge of `std-curate check`.
+
+    What the judge measures is linear in the motion of a label. A label that it refuses is therefore
+    measured a second time where the first measurement puts the object.
 
     Args:
         name: of the scene.
@@ -79,27 +98,58 @@ def judge_group(
         ToolkitError: a mesh is damaged.
     """
     scene = AuditScene(name, group, source)
-    poses = list(group.T_world_cam.values())
-    up = scene_up(poses, None)
+    up = scene_up(list(group.T_world_cam.values()), None)
     if not all(f.has_images for f in group.frames):
-        return judge_scene(scene, [], {}, options, up=up), scene
+        return Judged(scene, judge_scene(scene, [], {}, options, up=up), {})
+    report = _report(scene, options, up)
+    located = {
+        o.object: at for o in report.objects if (at := located_by(o.entry("pose_mm"))) is not None
+    }
+    refused = {
+        o.object: located[o.object]
+        for o in report.objects
+        if o.verdict in REFUSED and o.object in located
+    }
+    if refused and group.cameras != "none":
+        moved = MovedScene.of(scene, refused)
+        again = _report(moved, options, up, only=list(refused))
+        for item in again.objects:
+            after = located_by(item.entry("pose_mm"))
+            if item.object in refused and after is not None:
+                located[item.object] = _both(refused[item.object], after)
+    return Judged(scene, report, located)
+
+
+def _report(
+    scene: Scene, options: CheckOptions, up: Array, only: Sequence[int] | None = None
+) -> CheckReport:
     caster = LabelCaster.of_scene(scene)
     observed: list[FrameObservation] = []
     problems: dict[int, str] = {}
     for frame in scene.frames:
         try:
-            observed.append(measure_frame(scene, caster, frame, options))
+            observed.append(measure_frame(scene, caster, frame, options, only=only))
         except ToolkitError as error:
             problems[frame.id] = str(error)
     readable = [f for f in scene.frames if f.id not in problems]
-    compared = compare_textures(scene, readable)
+    compared = compare_textures(scene, readable, only=only)
     aligned = {}
     if len(readable) == 1 < MotionSettings.current().fewest_frames:
         aligned = measure_alignments(scene, readable[0])
-    report = judge_scene(
-        scene, observed, problems, options, up=up, compared=compared, aligned=aligned
+    return judge_scene(
+        scene, observed, problems, options, up=up, compared=compared, aligned=aligned, only=only
     )
-    return report, scene
+
+
+def _both(first: Located, second: Located) -> Located:
+    """The motion that two motions in turn are; the first one itself if the second undoes it."""
+    if np.linalg.norm(second.motion[SHIFT]) > np.linalg.norm(first.motion[SHIFT]) + 1 and (
+        np.linalg.norm(second.motion[TURN]) > np.linalg.norm(first.motion[TURN]) + 1
+    ):
+        return first
+    turn = so3_exp(np.deg2rad(second.motion[TURN])) @ so3_exp(np.deg2rad(first.motion[TURN]))
+    shift = first.motion[SHIFT] + second.motion[SHIFT]
+    return Located(np.concatenate([shift, np.rad2deg(so3_log(turn))]), second.covariance)
 
 
 def audited(
@@ -110,26 +160,27 @@ def audited(
     Args:
         whole: whether it has all frames of the scene that were read.
     """
-    report, scene = judge_group(name, group, source, options)
+    judged = judge_group(name, group, source, options)
+    report, scene = judged.report, judged.scene
     name = plain(name)
     alone = group.cameras == "none"
     keys = {k: f.key.name for k, f in enumerate(group.frames)}
     shown = "" if whole else keys[0] if alone else f"{keys[0]} to {keys[len(keys) - 1]}"
-    labels = [_audited(item, report, scene, name, shown, alone=alone) for item in report.objects]
+    labels = [_audited(item, judged, name, shown, alone=alone) for item in report.objects]
     found = _disagreements(report, scene, group, name, keys, options)
     if alone:
         found += [
             Disagreement(scene=name, frame=keys[0], object=row.object, what=row.reason)
             for row in labels
-            if row.verdict in ("doubtful", "wrong")
+            if row.verdict in REFUSED
         ]
     problems = [f"{keys[f.frame]}: {f.problem}" for f in report.frames if f.problem]
     without = len(report.frames) - sum(f.depth_valid is not None for f in report.frames)
     pictures = {}
     if all(f.has_images for f in group.frames):
         for k, (item, row) in enumerate(zip(report.objects, labels, strict=True)):
-            if row.verdict in ("doubtful", "wrong"):
-                data = picture_of(scene, item)
+            if row.verdict in REFUSED:
+                data = picture_of(scene, item, judged.located.get(item.object))
                 if data is not None:
                     file = safe_name(f"{name}_{keys[0]}_{row.object}") + ".jpg"
                     pictures[file] = data
@@ -138,15 +189,10 @@ def audited(
 
 
 def _audited(
-    item: ObjectCheck,
-    report: CheckReport,
-    scene: AuditScene,
-    name: str,
-    frame: str,
-    *,
-    alone: bool,
+    item: ObjectCheck, judged: Judged, name: str, frame: str, *, alone: bool
 ) -> AuditedLabel:
-    at = located_by(item.entry("pose_mm"))
+    scene, report = judged.scene, judged.report
+    at = judged.located.get(item.object)
     sizes: dict[str, object] = {}
     if at is not None:
         view = _view(scene, item)

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import cv2
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmark.evaluation.audit.audit_scene import AuditScene
+from benchmark.evaluation.audit.audit_scene import AuditScene, MovedScene
 from std_toolkit.arrays import Array
-from std_toolkit.checks.gates.located import SHIFT, TURN, located_by
-from std_toolkit.checks.measure.contours import LabelCaster, object_centre
+from std_toolkit.checks.gates.located import Located
+from std_toolkit.checks.measure.contours import LabelCaster
 from std_toolkit.checks.measure.residuals import render_view
 from std_toolkit.checks.result import ObjectCheck
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera, so3_exp
-from std_toolkit.scene import Frame, Labels, Scene
-from std_toolkit.scene.memory_scene import MemoryScene
+from std_toolkit.scene import Frame, Scene
 
 LABEL, MEASURED = (214, 39, 40), (44, 160, 44)  # RGB
 _SIZE_PX, _MARGIN = 480, 0.35
@@ -24,12 +20,13 @@ _QUALITY = 85
 _SHIFT = 4  # bits of a pixel in OpenCV's drawing
 
 
-def picture_of(scene: AuditScene, item: ObjectCheck) -> bytes | None:
+def picture_of(scene: AuditScene, item: ObjectCheck, at: Located | None) -> bytes | None:
     """The part of a frame around an object as JPEG; None where it is not visible.
 
     Args:
         scene: the judged frames.
         item: what the judge says of the object; the frame is that of its largest edge distance.
+        at: where the evidence puts it.
     """
     seen = [f for f in item.frames if f.visible_fraction > 0]
     if not seen:
@@ -50,8 +47,9 @@ def picture_of(scene: AuditScene, item: ObjectCheck) -> bytes | None:
     part = np.ascontiguousarray(image[y0:y1, x0:x1])
     factor = _SIZE_PX / max(part.shape[:2])
     part = cv2.resize(part, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
-    moved = _moved(scene, item)
-    measured = [] if moved is None else _outline(moved, frame, item.object)
+    measured = []
+    if at is not None:
+        measured = _outline(MovedScene.of(scene, {item.object: at}), frame, item.object)
     for outline, color in ((measured, MEASURED), (loops, LABEL)):
         for loop in outline:
             # Pixel centres are at whole numbers before and after.
@@ -71,28 +69,3 @@ def _outline(scene: Scene, frame: Frame, object_id: int) -> list[Array]:
         return []
     contour = render_view(scene, caster, frame).contour(object_id)
     return [] if contour is None else contour.loops
-
-
-def _moved(scene: AuditScene, item: ObjectCheck) -> Scene | None:
-    """The scene with the object where the evidence puts it."""
-    at = located_by(item.entry("pose_mm"))
-    label, pose = scene.labels.of(item.object), scene.T_world_obj(item.object)
-    if at is None or label is None or pose is None:
-        return None
-    centre = object_centre(scene, item.object)
-    R: NDArray[np.float64] = so3_exp(np.deg2rad(at.motion[TURN]))
-    change = SE3(R, centre - R @ centre + at.motion[SHIFT] / 1000)
-    row = msgspec.structs.replace(label, T_world_obj=(change @ pose).flat())
-    return _Moved(scene, scene.labels.with_label(row))
-
-
-class _Moved(MemoryScene):
-    """The frames of an audit with another label."""
-
-    def __init__(self, scene: AuditScene, labels: Labels) -> None:
-        super().__init__(scene, labels=labels)
-        self._of = scene
-
-    def camera(self, frame: Frame) -> Camera:
-        """See `Scene.camera`."""
-        return self._of.camera(frame)

@@ -220,9 +220,7 @@ def _sources(item: ObjectCheck) -> list[_Source]:
             found.append(_Source("contour", at))
     if aligned is not None:
         at = Located(aligned.motion, aligned.covariance + scatter(limits.mesh_part * size, 0.1))
-        misled = limits.misled_prior.get(item.material, 0.0)
-        beside = scatter(limits.misled_mm, limits.misled_deg)
-        found.append(_Source("alignment", at, "misled" if misled else "", misled, beside))
+        found.append(_Source("alignment", at))
     # Labels of one frame share the errors of its depth: that they agree on a plane says little.
     if standing is not None and aligned is None:
         at = Located(

@@ -1,8 +1,9 @@
 """Where one image and its sensor depth put each object, for frames that stand alone.
 
-Contours and textures of one image leave the distance open, and errors of mesh and lens move them as
-a whole. The refinement of labels solves depth and edges together; the motion from a label to where
-it ends, with the deviation that the refinement states, is what a lone frame tells of the label.
+Contours and textures of one image leave the distance open, errors of mesh and lens move them as a
+whole, and edges on glass and steel mislead them: alone they are no evidence. The refinement of
+labels solves depth and edges together; the motion from a label to where it ends, with the deviation
+that the refinement states, is what a lone frame tells of a label on an object that depth shows.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from std_toolkit.geometry.symmetry import nearest_variant
 from std_toolkit.labels.auto_refine import RefinedPose, refine_objects
 from std_toolkit.labels.refine.problem import covariance_at
 from std_toolkit.scene import Frame, Scene
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 
 _UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
 
@@ -36,7 +38,7 @@ def measure_alignments(scene: Scene, frame: Frame) -> dict[int, Value]:
 
     Returns:
         Values with the key `aligned_mm`; see `ObjectCheck`. Objects that the frame does not show
-        well enough are missing.
+        well enough, or whose depth is not to be trusted, are missing.
 
     Raises:
         ToolkitError: the frame cannot be read.
@@ -48,12 +50,15 @@ def measure_alignments(scene: Scene, frame: Frame) -> dict[int, Value]:
     }
     if not poses:
         return {}
-    scene.read_color(frame)
+    trusted = [i for i in poses if scene.objects.object(i).material in DIFFUSE_MATERIALS]
+    if not trusted or scene.read_depth(frame) is None:
+        return {}
     try:
-        found = refine_objects(scene, poses, frames=[frame.id])
+        found = refine_objects(scene, poses, trusted, frames=[frame.id]).objects
     except ToolkitError:  # no object is visible enough
         return {}
-    return {i: _value(scene, i, poses[i], pose) for i, pose in found.objects.items()}
+    known = {i: pose for i, pose in found.items() if pose.depth_m is not None}
+    return {i: _value(scene, i, poses[i], pose) for i, pose in known.items()}
 
 
 def with_alignments(
@@ -82,7 +87,7 @@ def _value(scene: Scene, object_id: int, label: SE3, refined: RefinedPose) -> Va
         value=round(float(np.linalg.norm(motion[:3])), 2),
         std=round(float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])), 2),
         unit="mm",
-        source="contour" if refined.depth_m is None else "depth",
+        source="depth",
         frames=refined.views,
         text=refined.method,
         motion=[round(float(x), 3) for x in motion],

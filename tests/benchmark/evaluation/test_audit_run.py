@@ -64,7 +64,7 @@ def test_labels_without_images(
     table = pd.read_csv(out / "audit_objects.csv")
     assert list(table["overlap_mm"].dropna().round()) == [20, 20]
     assert table["error_mm_low"].isna().all()
-    frames = pd.read_csv(out / "audit_frames.csv")
+    frames = pd.read_csv(out / "audit_frames.csv", dtype=str)
     assert list(frames["frame"]) == ["000002", "000002"]
     page = (out / "report.html").read_text()
     assert "What this audit cannot see" in page
