@@ -26,6 +26,7 @@ import numpy as np
 from benchmark.data.labelled import FrameImages, LabelledFrame, LabelledObject, MeshFile
 from benchmark.data.splits import FrameKey
 from benchmark.evaluation.audit.judged import audited
+from benchmark.evaluation.audit.record import Size
 from benchmark.evaluation.audit.rigid import groups_of
 from sensors.synthetic.kinds import JUDGING
 from sensors.synthetic.world_scene import world_scene
@@ -143,13 +144,16 @@ def measure(seed: int, folder: Path, modes: list[str], *, drawn: bool) -> Iterat
                 names = {o.name for o in mine}
                 for x in found:
                     if x.object in names:
-                        a, b = x.error_mm, x.error_deg
+                        m, m_low, m_high = numbers(x.error_mm)
+                        d, d_low, d_high = numbers(x.error_deg)
                         yield Row(
                             seed, mode, x.object, x.material, mm, deg, x.verdict,
-                            *((a.value, a.low, a.high) if a else (None,) * 3),
-                            *((b.value, b.low, b.high) if b else (None,) * 3),
-                            round(spent, 2),
+                            m, m_low, m_high, d, d_low, d_high, round(spent, 2),
                         )  # fmt: skip
+
+
+def numbers(size: Size | None) -> tuple[float | None, float | None, float | None]:
+    return (None, None, None) if size is None else (size.value, size.low, size.high)
 
 
 def print_table(rows: list[Row]) -> None:

@@ -204,7 +204,7 @@ def _audited(
             "error_deg": size_of(deg, of_deg),
             "across_mm": size_of(across @ mm, across @ of_mm @ across.T),
             "along_mm": round(float(view @ mm), 2),
-            "along_std_mm": round(float(np.sqrt(max(view @ of_mm @ view, 0.0))), 2),
+            "along_std_mm": round(float(np.sqrt(max(float(view @ of_mm @ view), 0.0))), 2),
             "weakest_mm": round(at.mm[1], 2),
             "weakest_deg": round(at.deg[1], 2),
         }

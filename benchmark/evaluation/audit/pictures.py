@@ -44,9 +44,9 @@ def picture_of(scene: AuditScene, item: ObjectCheck, at: Located | None) -> byte
     beside = max(_MARGIN * float((high - low).max()), 8.0)
     x0, y0 = np.maximum(np.floor(low - beside), 0).astype(int)
     x1, y1 = np.ceil(high + beside).astype(int)
-    part = np.ascontiguousarray(image[y0:y1, x0:x1])
-    factor = _SIZE_PX / max(part.shape[:2])
-    part = cv2.resize(part, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+    cut = np.ascontiguousarray(image[y0:y1, x0:x1])
+    factor = _SIZE_PX / max(cut.shape[:2])
+    part = cv2.resize(cut, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
     measured = []
     if at is not None:
         measured = _outline(MovedScene.of(scene, {item.object: at}), frame, item.object)
