@@ -95,7 +95,7 @@ class AuditOptions(TaskConfig):
     set: Path
     """folder of the data set"""
     out: Path = field(metadata={"option": "out", "writes": Writes("results", (AUDIT_FILE,))})
-    """folder of the audit: report.html, audit.json, audit_objects.csv, audit_frames.csv"""
+    """folder of the audit: report.html, audit.json, and tables of objects, labels and frames"""
     split: str = "bop"
     """bop (any set in BOP's form), or a name of `std-bench list splits`"""
     scenes: tuple[str, ...] = field(default=(), metadata={"option": "scene"})

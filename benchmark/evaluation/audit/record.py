@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from statistics import median
 from typing import Literal
 
 import msgspec
 
 from benchmark.evaluation.manifest import Count, Name
 
-OBJECTS_CSV, FRAMES_CSV, PICTURES = "audit_objects.csv", "audit_frames.csv", "pictures"
+LABELS_CSV, OBJECTS_CSV = "audit_labels.csv", "audit_objects.csv"
+FRAMES_CSV, PICTURES = "audit_frames.csv", "pictures"
 
 Verdict = Literal["fits", "unknown", "doubtful", "wrong"]
 Number = float | None
@@ -78,6 +81,27 @@ class AuditedLabel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     reason: str
     source: str
     picture: str = ""
+
+
+class AuditedObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One object of a scene over all that was judged of it.
+
+    Attributes:
+        scene, object, model, material: names.
+        labels, measured, refused: numbers of its labels that were judged, whose error is known,
+            and that are doubtful or wrong.
+        error_mm, error_deg: typical label: the medians of errors and of their bounds.
+    """
+
+    scene: Name
+    object: Name
+    model: Name
+    material: str
+    labels: Count
+    measured: Count
+    refused: Count
+    error_mm: Size | None
+    error_deg: Size | None
 
 
 class Disagreement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -163,3 +187,33 @@ class Audit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         for label in self.labels:
             found[label.verdict] += 1
         return found
+
+    def objects(self) -> list[AuditedObject]:
+        """What is known of each object of each scene."""
+        groups: dict[tuple[str, str], list[AuditedLabel]] = {}
+        for label in self.labels:
+            groups.setdefault((label.scene, label.object), []).append(label)
+        return [
+            AuditedObject(
+                scene=scene,
+                object=name,
+                model=mine[0].model,
+                material=mine[0].material,
+                labels=len(mine),
+                measured=sum(x.error_mm is not None for x in mine),
+                refused=sum(x.verdict in ("doubtful", "wrong") for x in mine),
+                error_mm=_typical([x.error_mm for x in mine]),
+                error_deg=_typical([x.error_deg for x in mine]),
+            )
+            for (scene, name), mine in groups.items()
+        ]
+
+
+def _typical(sizes: Sequence[Size | None]) -> Size | None:
+    known = [s for s in sizes if s is not None]
+    if not known:
+        return None
+    value, low, high = (
+        round(median(getattr(s, n) for s in known), 2) for n in ("value", "low", "high")
+    )
+    return Size(value=value, low=low, high=high)

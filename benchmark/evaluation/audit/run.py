@@ -18,10 +18,12 @@ from benchmark.data.labelled import LabelledFrame, LabelledSet
 from benchmark.evaluation.audit.judged import JudgedGroup, audited
 from benchmark.evaluation.audit.record import (
     FRAMES_CSV,
+    LABELS_CSV,
     OBJECTS_CSV,
     PICTURES,
     Audit,
     AuditedLabel,
+    AuditedObject,
     AuditedScene,
     Disagreement,
     plain,
@@ -204,37 +206,35 @@ def _assembled(
 
 
 def write(folder: Path, audit: Audit, pictures: Mapping[str, bytes]) -> None:
-    """Write audit.json, the two tables and the pictures by name."""
+    """Write audit.json, the tables and the pictures by name."""
     for name, data in pictures.items():
         write_bytes_atomic(folder / PICTURES / name, data)
-    rows = [label_row(label) for label in audit.labels]
-    tables = {OBJECTS_CSV: rows, FRAMES_CSV: [msgspec.to_builtins(d) for d in audit.disagreements]}
-    columns = {
-        OBJECTS_CSV: list(label_row(_EMPTY)),
-        FRAMES_CSV: [f.name for f in msgspec.structs.fields(Disagreement)],
+    tables: dict[str, tuple[type, Sequence[msgspec.Struct]]] = {
+        LABELS_CSV: (AuditedLabel, audit.labels),
+        OBJECTS_CSV: (AuditedObject, audit.objects()),
+        FRAMES_CSV: (Disagreement, audit.disagreements),
     }
-    for name, table in tables.items():
+    for name, (kind, rows) in tables.items():
         text = io.StringIO()
-        writer = csv.DictWriter(text, columns[name], lineterminator="\n")
+        columns = [c for f in msgspec.structs.fields(kind) for c in _columns(f.name)]
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(table)
+        writer.writerows(map(flat, rows))
         write_bytes_atomic(folder / name, text.getvalue().encode())
     write_document(folder / AUDIT_FILE, audit)
 
 
-_EMPTY = AuditedLabel(
-    scene="-", frame="", object="-", model="-", material="", frames=0, verdict="unknown",
-    reason="", source="",
-)  # fmt: skip
+def _columns(name: str) -> list[str]:
+    return [name, f"{name}_low", f"{name}_high"] if name in SIZES else [name]
 
 
-def label_row(label: AuditedLabel) -> dict[str, Any]:
-    """A row of audit_objects.csv: sizes with their bounds in columns of their own."""
-    row: dict[str, Any] = {}
-    for name, value in msgspec.to_builtins(label).items():
+def flat(row: msgspec.Struct) -> dict[str, Any]:
+    """A row of a table: sizes with their bounds in columns of their own."""
+    found: dict[str, Any] = {}
+    for name, value in msgspec.to_builtins(row).items():
         if name in SIZES:
-            size = value or {"value": None, "low": None, "high": None}
-            row |= {name: size["value"], f"{name}_low": size["low"], f"{name}_high": size["high"]}
+            numbers = value or {"value": None, "low": None, "high": None}
+            found |= dict(zip(_columns(name), numbers.values(), strict=True))
         else:
-            row[name] = value
-    return row
+            found[name] = value
+    return found

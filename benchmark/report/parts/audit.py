@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from benchmark.evaluation.audit.record import PICTURES, Audit, AuditedLabel, AuditedScene, Size
-from benchmark.evaluation.audit.run import label_row
+from benchmark.evaluation.audit.run import flat
 from benchmark.evaluation.query_options import AUDIT_FILE
 from benchmark.report.page import MOST_PICTURED, ReportPart, table_files, terminal_text
 from std_toolkit.html import page
@@ -41,10 +41,11 @@ def audit_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     audits = [(place, read_document(place / AUDIT_FILE, Audit)) for place in places]
     tables, sections, summaries = [], [], []
     for k, (place, audit) in enumerate(audits):
-        table = _labels_table(audit)
-        tables.append(table)
+        objects, table = _objects_table(audit), _labels_table(audit)
+        tables += [objects, table]
         summaries.append(_summary(audit))
         sections += [
+            page.Section(f"objects-{k}", f"Objects of {audit.set}", [objects]),
             page.Section(f"labels-{k}", f"Labels of {audit.set}", [table]),
             page.Section(f"frames-{k}", f"Frames that disagree: {audit.set}", _frames(audit)),
             page.Section(f"pictures-{k}", f"Labels in the images: {audit.set}",
@@ -53,7 +54,7 @@ def audit_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
             page.Section(f"unseen-{k}", f"What this audit cannot see: {audit.set}",
                          [page.Bullets([page.Paragraph(text) for text in audit.unseen])]),
         ]  # fmt: skip
-    rows = [{"set": a.set, **label_row(x)} for _, a in audits for x in a.labels]
+    rows = [{"set": a.set, **flat(x)} for _, a in audits for x in a.labels]
     return ReportPart(
         title="Labels of data sets",
         summary=" ".join(summaries),
@@ -73,6 +74,38 @@ def _summary(audit: Audit) -> str:
         typical = f" Typical error: {mm:.1f} mm and {angle:.1f} deg ({len(known)} measured)."
     words = ", ".join(f"{counts[name]} {name}" for name in _ORDER)
     return f"{audit.set}: {len(audit.labels)} labels judged: {words}.{typical}"
+
+
+def _objects_table(audit: Audit) -> Table:
+    rows = [
+        Row(
+            [
+                Cell(text=x.scene),
+                Cell(text=x.object),
+                Cell(text=x.material),
+                Cell(text=str(x.labels), value=x.labels),
+                Cell(text=str(x.measured), value=x.measured),
+                Cell(text=str(x.refused), value=x.refused, mark="bad" if x.refused else ""),
+                _size(_MM, x.error_mm),
+                _size(_DEG, x.error_deg),
+            ]
+        )
+        for x in audit.objects()
+    ]
+    return Table(
+        columns=[
+            *(Column(heading=h, numeric=False) for h in ("scene", "object", "material")),
+            *(Column(heading=h, digits=0) for h in ("judged", "measured", "refused")),
+            _MM, _DEG,
+        ],
+        rows=rows,
+        title=f"Objects of {audit.set}: {len(rows)}",
+        notes=(
+            "Judged: labels of frames that were judged alone, or of all frames together. Errors: "
+            "medians over those that were measured, and of their bounds.",
+        ),
+        sortable=True,
+    )  # fmt: skip
 
 
 def _labels_table(audit: Audit) -> Table:

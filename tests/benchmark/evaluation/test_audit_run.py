@@ -61,9 +61,12 @@ def test_labels_without_images(
     assert scene.without_images == 6
     assert any("12 of 12 labels: nothing says" in text for text in audit.unseen)
     assert "12 labels judged: 0 wrong" in said
-    table = pd.read_csv(out / "audit_objects.csv")
+    table = pd.read_csv(out / "audit_labels.csv")
     assert list(table["overlap_mm"].dropna().round()) == [20, 20]
     assert table["error_mm_low"].isna().all()
+    objects = pd.read_csv(out / "audit_objects.csv")
+    assert list(objects["labels"]) == [6, 6]
+    assert list(objects["measured"]) == [0, 0]
     frames = pd.read_csv(out / "audit_frames.csv", dtype=str)
     assert list(frames["frame"]) == ["000002", "000002"]
     page = (out / "report.html").read_text()
