@@ -305,7 +305,7 @@ def _disagreements(
     by_index = {f.index: f.key.name for f in group.frames}
     for (index, thing), (mm, deg) in group.off.items():
         if mm > options.max_motion_mm or deg > options.max_motion_deg:
-            what = f"{mm:.1f} mm and {deg:.1f} deg from where its other frames put it"
+            what = f"{mm:.1f} mm and {deg:.1f} deg from its other frames: it is off, or was moved"
             found.append(
                 Disagreement(scene=name, frame=by_index[index], object=plain(thing), what=what)
             )

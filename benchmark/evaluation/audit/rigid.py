@@ -94,21 +94,57 @@ def groups_of(frames: Sequence[LabelledFrame]) -> list[Group]:
     Raises:
         ToolkitError: a mesh is damaged.
     """
-    things = things_of(frames)
     given = {f.index: f.T_world_cam for f in frames if f.T_world_cam is not None}
     if len(given) == len(frames):
-        whole = _still(frames, things, given, "of the set")
-        if whole is not None:
-            return [whole]
+        parts = _segments(frames, things_of(frames), given)
+        found = [_still(part, things_of(part), given, "of the set") for part in parts]
+        if all(g is not None for g in found):
+            return [g for g in found if g is not None]
     groups = []
-    for run in _runs(frames, things):
-        mine = things_of(run)
-        cameras = _cameras_by_labels(run, mine)
-        found = None if cameras is None else _still(run, mine, cameras, "from the labels")
-        kept = set() if found is None else {f.index for f in found.frames}
-        groups += [] if found is None else [found]
-        groups += [_alone(f, things) for f in run if f.index not in kept]
+    for run in _runs(frames, things_of(frames)):
+        cameras = _cameras_by_labels(run, things_of(run))
+        parts = [run] if cameras is None else _segments(run, things_of(run), cameras)
+        for part in parts:
+            mine = things_of(part)
+            if len(parts) > 1:
+                cameras = _cameras_by_labels(part, mine)
+            still = None if cameras is None else _still(part, mine, cameras, "from the labels")
+            kept = set() if still is None else {f.index for f in still.frames}
+            groups += [] if still is None else [still]
+            groups += [_alone(f, mine) for f in part if f.index not in kept]
     return groups
+
+
+def _segments(
+    frames: Sequence[LabelledFrame], things: Mapping[str, Thing], cameras: Mapping[int, SE3]
+) -> list[list[LabelledFrame]]:
+    """The frames cut where an object was moved: two frames that follow agree on a new place.
+
+    A label that is off in one frame alone is no move.
+    """
+    far = 2 * StillSettings.current().off_mm / 1000
+    cuts = set()
+    for thing in things.values():
+        seen = [f.index for f in frames if f.index in thing.T_cam_obj and f.index in cameras]
+        poses = [cameras[f] @ thing.T_cam_obj[f] for f in seen]
+        place = poses[0] if poses else None
+        for pose, after, index in zip(poses[1:], poses[2:], seen[1:], strict=False):
+            assert place is not None
+            if _apart(thing, pose, place) > far >= _apart(thing, after, pose):
+                cuts.add(index)
+                place = pose
+    parts: list[list[LabelledFrame]] = [[]]
+    for frame in frames:
+        if frame.index in cuts and parts[-1]:
+            parts.append([])
+        parts[-1].append(frame)
+    return parts
+
+
+def _apart(thing: Thing, a: SE3, b: SE3) -> float:
+    """Mean distance in metres of the corners of two poses, over symmetries."""
+    near = nearest_variant(a, b, thing.corners, thing.symmetry)
+    return float(np.linalg.norm(near @ thing.corners - b @ thing.corners, axis=1).mean())
 
 
 def _still(
@@ -274,13 +310,9 @@ def _place(thing: Thing, cameras: Mapping[int, SE3]) -> SE3:
 
 def _corners_off(thing: Thing, place: SE3, cameras: Mapping[int, SE3]) -> list[float]:
     """Mean distance in metres of the corners from their place, by frame."""
-    found = []
-    for f, T in thing.T_cam_obj.items():
-        if f in cameras:
-            near = nearest_variant(cameras[f] @ T, place, thing.corners, thing.symmetry)
-            off = np.linalg.norm(near @ thing.corners - place @ thing.corners, axis=1)
-            found.append(float(off.mean()))
-    return found
+    return [
+        _apart(thing, cameras[f] @ T, place) for f, T in thing.T_cam_obj.items() if f in cameras
+    ]
 
 
 def _beside(thing: Thing, place: SE3, pose: SE3) -> tuple[float, float]:

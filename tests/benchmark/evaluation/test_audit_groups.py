@@ -103,6 +103,19 @@ def test_objects_that_were_moved_begin_a_new_run() -> None:
     assert [[f.index for f in g.frames] for g in (first, second)] == [[*range(5)], [*range(5, 10)]]
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_one_object_that_was_moved_begins_a_new_run(known: bool) -> None:
+    """It is no label that is off, as one in a single frame is; that one stays in its run."""
+    moved = frames(12, cameras=known)
+    for i in range(6, 12):
+        moved[i] = changed(moved[i], "b", SE3(np.eye(3), np.array([0.05, 0, 0])))
+    moved[2] = changed(moved[2], "a", SE3(np.eye(3), np.array([0.02, 0, 0])))
+    first, second = groups_of(moved)
+    assert [[f.index for f in g.frames] for g in (first, second)] == [[*range(6)], [*range(6, 12)]]
+    assert first.off[2, "a"][0] == pytest.approx(20)
+    assert sum(max(o) > 1e-6 for g in (first, second) for o in g.off.values()) == 1
+
+
 def test_labels_that_agree_on_nothing_stand_alone() -> None:
     rng = np.random.default_rng(0)
     loose = frames(5, cameras=False)

@@ -58,6 +58,10 @@ def test_first_poses_are_told_from_refined_ones(test_data: Path, tmp_path: Path)
     """Five boxes, bowls and bottles; first poses are 10 to 80 mm off their refined ones."""
     first = labels_of(write_ycb(test_data, tmp_path / "first", "poses", 0))
     refined = labels_of(write_ycb(test_data, tmp_path / "refined", "poses_refined", 0))
+    for kind, labels in (("first", first), ("refined", refined)):
+        for name in ("error_mm", "error_deg"):
+            sizes = [getattr(x, name) for x in labels.values()]
+            print(f"{kind} {name}: median {np.median([s.value for s in sizes]):.1f} of {sizes}")
     assert len(first) == 5
     assert {x.verdict for x in first.values()} == {"wrong"}
     for name, label in first.items():
@@ -93,6 +97,7 @@ def test_labels_of_lmo_without_images(test_data: Path, tmp_path: Path) -> None:
     assert sum(len(g.frames) for g in runs) > 100
     off = np.array([o for g in runs for o in g.off.values()])
     typical, most = np.median(off, axis=0), off.max(axis=0)
+    print(f"LM-O, {len(runs)} runs: {(off[:, 0] > 4).sum()} of {len(off)} labels leave their place")
     assert typical[0] < 1.0
     assert typical[1] < 0.3
     assert most[0] > 20

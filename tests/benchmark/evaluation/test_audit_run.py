@@ -112,7 +112,7 @@ def test_a_label_that_leaves_its_place_is_told(
     assert scene.off_most_deg == pytest.approx(3, abs=0.05)
     (found,) = audit.disagreements
     assert (found.frame, found.object) == ("000005", "obj_000002_1")
-    assert found.what == "6.0 mm and 3.0 deg from where its other frames put it"
+    assert found.what == "6.0 mm and 3.0 deg from its other frames: it is off, or was moved"
     assert [x.frame for x in audit.labels] == [""] * 3
     capsys.readouterr()
 

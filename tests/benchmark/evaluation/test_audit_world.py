@@ -118,7 +118,7 @@ def test_faults_are_found_with_their_size(
     assert label.error_mm is not None
     assert label.error_deg is not None
     assert label.error_mm.value == pytest.approx(mm, abs=1.5)
-    assert label.error_deg.value == pytest.approx(deg, abs=2.0)
+    assert label.error_deg.value == pytest.approx(deg, abs=2.5)
     # The label that is right is measured 1.2 deg off, of 0.4 stated: a large turn shows it too.
     if mm:
         assert label.error_mm.low <= mm <= label.error_mm.high, label
