@@ -39,6 +39,7 @@ INPUTS = {
         "--scenes",
         "--dump",
         "--data",
+        "SET",
     ),
     *("--results", "ROOT", "--root", "SOURCE", "--models", "--cameras", "--hand-eye", "--board"),
     *("--mesh", "--pose", "--correspondences", "RESULTS", "SOURCES", "--weights", "PHOTOS"),

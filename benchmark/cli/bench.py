@@ -11,6 +11,7 @@ from std_toolkit.cli.command import Program, print_json
 if TYPE_CHECKING:
     from benchmark.evaluation.config import BopConfig, NetworkConfig
     from benchmark.evaluation.query_options import (
+        AuditOptions,
         BakeoffOptions,
         CheckDataOptions,
         InferListOptions,
@@ -137,6 +138,25 @@ def choose(options: BakeoffOptions) -> int:
     return report_failures(done.failed)
 
 
+def audit_labels(options: AuditOptions) -> int:
+    """Judge labels and write the page; returns the exit status."""
+    from benchmark.evaluation.audit.run import run_audit
+    from benchmark.report.page import make_parts, render_page
+    from std_toolkit.io.atomic import write_bytes_atomic
+
+    audit = run_audit(options)
+    parts = make_parts([options.out])
+    page = options.out / "report.html"
+    write_bytes_atomic(page, render_page(parts).encode())
+    if options.json:
+        print_json(audit)
+    else:
+        print("\n\n".join(part.terminal for part in parts))
+        print(f"\n{parts[0].summary}\n{page}")
+    unread = {s.scene: p for s in audit.scenes for p in s.problems[:1]}
+    return report_failures(unread)
+
+
 def write_priors(options: PriorsCommand) -> int:
     """Make shape priors; returns the exit status."""
     from benchmark.methods.pose.priors.make_priors import make_priors
@@ -194,6 +214,7 @@ PROGRAM = Program(
             _QUERY + "BakeoffOptions",
             "choose",
         ),
+        ("audit", "judge the labels of a data set", _QUERY + "AuditOptions", "audit_labels"),
         ("priors", "make the shape priors of spd and sgpa from meshes", _PRIORS, "write_priors"),
     ),
     default="depth",

@@ -15,9 +15,10 @@ import msgspec
 from benchmark.evaluation.config import BenchJobs, Count, NetworkConfig, TaskConfig, check_lists
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
-from std_toolkit.options import JobOptions
+from std_toolkit.options import JobOptions, Material
 
 FRAME_LIST = "frames.csv"
+AUDIT_FILE = "audit.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +80,35 @@ class InferListOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditOptions(TaskConfig):
+    """Judge the labels of a data set against its images, and write a page to publish.
+
+    Where objects stand still and the camera moves, frames are judged together; others alone. The
+    judge and its limits are those of `std-curate check`.
+    """
+
+    task = "audit"
+
+    set: Path
+    """folder of the data set"""
+    out: Path = field(metadata={"option": "out", "writes": Writes("results", (AUDIT_FILE,))})
+    """folder of the audit: report.html, audit.json, and tables of objects, labels and frames"""
+    split: str = "bop"
+    """bop (any set in BOP's form), or a name of `std-bench list splits`"""
+    scenes: tuple[str, ...] = field(default=(), metadata={"option": "scene"})
+    """judge these scenes only"""
+    frames: Count = 40
+    """frames of each scene, evenly spaced"""
+    models: Path | None = None
+    """folder of the meshes, if they do not lie in the set; named after models, or after numbers of
+    the masks"""
+    material: Material | None = None
+    """material of objects whose set does not state it (bop: diffuse)"""
+    name: str = ""
+    """name of the set on the page (that of the folder)"""
 
 
 @dataclass(frozen=True, kw_only=True)

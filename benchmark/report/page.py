@@ -14,6 +14,7 @@ from benchmark.evaluation.manifest import (
     MANIFEST,
     POSE_MANIFEST,
 )
+from benchmark.evaluation.query_options import AUDIT_FILE
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.page import Block, Heading, Page, Paragraph, Section, Verdict
@@ -75,6 +76,7 @@ TASKS = (
     ReportTask(BOP_FILE, "benchmark.report.parts.pose:bop_part"),
     ReportTask(GRASP_MANIFEST, "benchmark.report.parts.grasp:grasp_part"),
     ReportTask(DUMP_MANIFEST, "benchmark.report.parts.grasp_dump:dump_part"),
+    ReportTask(AUDIT_FILE, "benchmark.report.parts.audit:audit_part"),
 )
 
 

@@ -171,7 +171,7 @@ class _Source:
     """Where one source puts the object, and what would explain that it is wrong.
 
     Attributes:
-        name: "texture", "contour" or "support".
+        name: "texture", "contour", "alignment" or "support".
         at: where.
         explanation: "shape", "misled", "texture" or "leans"; "" for none.
         prior: share of the objects for which it holds.
@@ -192,7 +192,9 @@ def _sources(item: ObjectCheck) -> list[_Source]:
     standing = located_by(item.entry("standing_mm"))
     if contour is not None and item.text("confirmed") == "no":
         contour = None
-    first = texture or contour
+    # A lone frame has neither: there, edges and depth together say where the object is.
+    aligned = None if texture or contour else located_by(item.entry("aligned_mm"))
+    first = texture or contour or aligned
     if first is None:
         return []
     size = 1000 * (item.value("size_m") or 0.1)
@@ -216,7 +218,11 @@ def _sources(item: ObjectCheck) -> list[_Source]:
             found.append(_Source("contour", at, "misled", misled, beside))
         else:
             found.append(_Source("contour", at))
-    if standing is not None:
+    if aligned is not None:
+        at = Located(aligned.motion, aligned.covariance + scatter(limits.mesh_part * size, 0.1))
+        found.append(_Source("alignment", at))
+    # Labels of one frame share the errors of its depth: that they agree on a plane says little.
+    if standing is not None and aligned is None:
         at = Located(
             scatter.kept @ standing.motion, scatter.kept @ standing.covariance @ scatter.kept
         )

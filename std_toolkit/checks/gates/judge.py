@@ -15,6 +15,7 @@ from std_toolkit.checks.gates.gate import Gate, Measured
 from std_toolkit.checks.gates.hypotheses import weigh
 from std_toolkit.checks.gates.outcome import Outcome
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
+from std_toolkit.checks.measure.alignments import with_alignments
 from std_toolkit.checks.measure.frame_evidence import frame_evidence
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.placements import with_placements
@@ -83,6 +84,7 @@ def judge_scene(
     up: NDArray[np.float64],
     compared: Mapping[int, textures.TextureFinding] | None = None,
     sizes: ScaleEstimate | None = None,
+    aligned: Mapping[int, result.Value] | None = None,
     only: Collection[int] | None = None,
 ) -> result.CheckReport:
     """Aggregate the measurements and evaluate the gates; writes nothing.
@@ -95,6 +97,7 @@ def judge_scene(
         up: (3,) unit vector that points up in the world.
         compared: comparisons of the textures, by object id; see `textures.compare_textures`.
         sizes: scale from the sizes of the objects; see `object_sizes.measure_sizes`.
+        aligned: where a lone frame puts the objects, by object id; see `measure_alignments`.
         only: ids of the objects to judge; the motions of the others are not solved, so that their
             rows say nothing of their poses.
     """
@@ -102,7 +105,7 @@ def judge_scene(
     objects = aggregate.check_objects(scene, observed, up=up, depth_bias=bias)
     rows = aggregate.check_frames(scene, observed, problems)
     materials = aggregate.check_materials(scene, observed)
-    objects = textures.with_textures(objects, compared or {})
+    objects = with_alignments(textures.with_textures(objects, compared or {}), aligned)
     planes = standing_of(scene, objects, up)
     judged = [o for o in objects if only is None or o.object in only]
     moved = with_motions(scene, judged, observed, options, up=planes.up)

@@ -19,6 +19,8 @@ def seen(
     contour: Sequence[float] | None = None,
     texture: Sequence[float] | None = None,
     *,
+    aligned: Sequence[float] | None = None,
+    standing: Sequence[float] | None = None,
     mm: float = 0.5,
     deg: float = 0.3,
     size_m: float = 0.25,
@@ -36,6 +38,12 @@ def seen(
         values.append(
             Value(key="texture_mm", source="texture", motion=list(texture), covariance=covariance)
         )
+    for key, motion in (("aligned_mm", aligned), ("standing_mm", standing)):
+        if motion is not None:
+            source = "depth" if key == "aligned_mm" else "support"
+            values.append(
+                Value(key=key, source=source, motion=list(motion), covariance=covariance)  # type: ignore[arg-type]
+            )
     found = weigh(
         ObjectCheck(
             object=1,
@@ -164,3 +172,21 @@ def test_the_verdict_only_gets_worse_with_the_motion() -> None:
 def test_the_limits_are_settings() -> None:
     with override(JudgeSettings(fits=0.4, wrong=0.01)):
         assert seen(None, aside(3.9), mm=0.5).verdict == "fits"
+
+
+def test_a_lone_frame_counts_where_nothing_else_does() -> None:
+    found = seen(aligned=aside(9))
+    assert (found.verdict, found.cause) == ("wrong", "label")
+    assert "its alignment puts it 9.0 mm" in found.reason
+    np.testing.assert_allclose(found.located.motion, aside(9))
+    # Several frames say more than one of them, and labels of one frame agree on a plane by chance.
+    assert seen(aside(0.2), aligned=aside(9)).verdict == "fits"
+    assert seen(None, aside(0.2), aligned=aside(9)).verdict == "fits"
+    alone = seen(aligned=aside(0.2), standing=aside(9))
+    assert alone.verdict == "fits"
+    np.testing.assert_allclose(alone.located.motion, aside(0.2))
+
+
+def test_a_lone_frame_that_leaves_the_distance_open_is_unknown() -> None:
+    assert seen(aligned=aside(1.0), mm=10.0).verdict == "unknown"
+    assert seen(aligned=aside(60.0), mm=10.0).verdict in ("doubtful", "wrong")

@@ -1,0 +1,1 @@
+"""`std-bench audit`: what the labels of a data set are worth."""
