@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -31,3 +33,10 @@ def test_auto_proposal_and_doubt() -> None:
 def test_auto_stands_alone() -> None:
     with pytest.raises(ToolkitError, match="'auto' contradicts"):
         parse_symmetry(["auto", "axis:z"], centre=np.zeros(3).tolist())
+
+
+def test_a_file_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "symmetry.json"
+    path.write_text('\ufeff{"symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 0, 0]}]}')
+    (axis,) = parse_symmetry([str(path)], centre=np.zeros(3).tolist()).continuous
+    assert list(axis.axis) == [0, 0, 1]
