@@ -60,6 +60,12 @@ KALIBR = {
 READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "ros, list of lines": (ROS + BLOCK, "opencv", FIVE),
     "ros2 topic echo": (ECHO, "opencv", FIVE),
+    "ros2 topic echo, a region in halves": (
+        ECHO.replace("height: 48\nwidth: 64", "height: 200\nwidth: 300")
+        .replace("d:\n", "roi:\n  x_offset: 7\n  y_offset: 5\n  height: 96\n  width: 128\nd:\n")
+        .replace(f"{K[0]}\n", "120\n").replace(f"- {K[4]}\n", "- 120\n")
+        .replace("31.5", "70.5").replace("23.5", "52.5")
+        .replace("binning_x: 0", "binning_x: 2\nbinning_y: 2"), "opencv", FIVE),
     "ros2 topic echo, two messages": (ECHO + ECHO, "opencv", FIVE),
     "kalibr": (f"cam0:\n  {lines(**KALIBR).strip().replace(chr(10), chr(10) + '  ')}\n",
                "opencv", FOUR),
