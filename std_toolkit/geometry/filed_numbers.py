@@ -96,6 +96,21 @@ def filed_size(
     return stated[0], stated[1]
 
 
+def y_down(found: Intrinsics) -> tuple[Intrinsics, str]:
+    """Intrinsics of a camera whose y points down, and what was changed.
+
+    A negative fy, as ICL-NUIM states it, means axes of x right, y up, z forward; the images are as
+    ever.
+    """
+    if found.fy >= 0 or found.fx <= 0:
+        return found, ""
+    note = (
+        f"fy is {found.fy:g}: y points up, axes are left-handed; {-found.fy:g} is taken, and poses "
+        "beside it need --cameras-convention camera-to-world-left-handed"
+    )
+    return replace(found, fy=-found.fy), note
+
+
 def of_region(
     found: Intrinsics, plain: Mapping[str, tuple[str, Any]], size: tuple[int, int] | None
 ) -> tuple[Intrinsics, str]:

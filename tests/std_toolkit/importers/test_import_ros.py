@@ -207,7 +207,10 @@ def test_a_region_and_binning_of_the_camera(
 
 
 def test_a_region_that_leaves_another_image_is_refused(tmp_path: Path) -> None:
-    for region, words in (((0, 0, 40, 30), "40x30"), ((290, 0, 40, 30), r"camera_info.roi: the region")):
+    for region, words in (
+        ((0, 0, 40, 30), "40x30"),
+        ((290, 0, 40, 30), r"camera_info.roi: the region"),
+    ):
         folder = tmp_path / str(region[0]) / "rec"
         with RosWriter(folder) as out:
             out.info(INFO, 100, size=(300, 200), region=region)

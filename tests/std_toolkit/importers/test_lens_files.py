@@ -148,6 +148,7 @@ READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "matlab counts pixels from 1": (json.dumps(
         {"IntrinsicMatrix": [[60, 0, 0], [0, 60, 0], [32.5, 24.5, 1]], "ImageSize": [48, 64],
          "RadialDistortion": FIVE[:2], "TangentialDistortion": FIVE[2:4]}), "opencv", FOUR),
+    "y up, as ICL-NUIM": (json.dumps({"K": [60, 0, 31.5, 0, -60, 23.5, 0, 0, 1]}), "opencv", ()),
     "numbers as text": (json.dumps({k: str(v) for k, v in {**NUMBERS, **NAMED}.items()}),
                         "opencv", FIVE),
     "a list as text": (
@@ -308,6 +309,7 @@ def test_the_colour_camera_is_taken_of_colour_and_depth(tmp_path: Path) -> None:
     ("fields", "words"),
     [
         ({"K": K}, "lens.json: it states no distortion"),
+        ({**NUMBERS, "fy": -60}, "fy is -60: y points up, axes are left-handed; 60 is taken"),
         ({"K": K, "D": [0, 0, 0, 0]}, "no distortion (D is 0)"),
         ({"K": K, "D": FIVE}, "opencv lens -0.28 0.07 0.0002 1.7e-05 0 (from D)"),
     ],
