@@ -109,12 +109,35 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
             data = data[: start.start()] + line + data[start.start() :]
         else:
             notes.append("no face names its material (usemtl): the mesh stays without texture")
+    notes += _plain_colors(text, used & set(known))
     if text and (lost := sorted(used - set(known) - {""})):
         notes.append(f"materials are missing: {', '.join(lost[:4])}")
     files = dict(reader.files)
     if target is not None and text:
         files = {target: text.encode("utf-8", "surrogateescape"), **files}
     return ObjFiles(data, files, tuple(notes))
+
+
+def _plain_colors(text: str, used: set[str]) -> list[str]:
+    """What is not shown of materials without a texture: a colour that no face has, or the only one.
+
+    Several colours are those of the faces.
+    """
+    colors: dict[str, str] = {}
+    name = ""
+    for words in (line.split() for line in text.splitlines()):
+        if words[:1] == ["newmtl"]:
+            name = " ".join(words[1:])
+        elif words[:1] == ["Kd"] and len(set(words[1:4])) > 1:  # grey is what is shown without
+            colors[name] = " ".join(words[1:4])
+    if not colors or _MAP.search(text):
+        return []
+    if not used:
+        return [f"no face names its material (usemtl): colour Kd {next(iter(colors.values()))} is "
+                "not shown"]  # fmt: skip
+    if len(used) == 1 and (only := colors.get(next(iter(used)))):
+        return [f"one colour, Kd {only}, and no texture: it is not shown, and tells no pose"]
+    return []
 
 
 def _colors_to_one(data: bytes) -> tuple[bytes, list[str]]:

@@ -109,6 +109,23 @@ def test_a_material_that_is_missing_is_named(
     assert "materials are missing: T" in caplog.text
 
 
+def test_colours_of_materials_without_texture(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mtl = "newmtl R r\nKd 0.8 0.1 0.1\nnewmtl B\nKd 0.1 0.1 0.8\n"
+    (tmp_path / "a.mtl").write_text(mtl)
+    path = obj(
+        tmp_path / "a.obj", "mtllib a.mtl", *VERTICES, *UV, "usemtl R r", *FACES[:6], "usemtl B",
+        *FACES[6:],
+    )  # fmt: skip
+    assert colors_of(copied(path)) == {(204, 26, 26), (26, 26, 204)}
+    assert "Kd" not in caplog.text
+    copied(obj(path, "mtllib a.mtl", "usemtl R r", *VERTICES, *UV, *FACES))
+    assert "one colour, Kd 0.8 0.1 0.1, and no texture: it is not shown" in caplog.text
+    copied(obj(path, "mtllib a.mtl", *VERTICES, *UV, *FACES))
+    assert "(usemtl): colour Kd 0.8 0.1 0.1 is not shown" in caplog.text
+
+
 @pytest.mark.parametrize("name", ["杯子.obj", "rec [1].obj", "ça va.OBJ", "🙂.obj"])
 def test_names_of_any_script(name: str, tmp_path: Path) -> None:
     picture(tmp_path / "红.png", RED)
