@@ -22,7 +22,7 @@ _BOTH = (
     "shape",
     "size",
 )
-_DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+_DECIMAL = re.compile(r"[-+]?(\d+(?:\.\d*)?|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _SIDES = re.compile(r"(\d{1,6}) *[x*×,] *(\d{1,6})")
 # Metres per unit below 1, units per metre above 50; others are not clear.
 _DEPTH_UNIT = (

@@ -14,7 +14,7 @@ from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.log import logger
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 def read_intrinsics(

@@ -17,7 +17,7 @@ _LARGEST_FILE = 1024 * 1024
 # Real files of cameras have below 10 levels.
 _DEEPEST = 40
 # No pattern has two neighbours that match the same text: a long file would take quadratic time.
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _WORD = re.compile(rf"{_NUMBER}|[-+]?\.?nan|[-+]?\.?inf", re.IGNORECASE)
 # `key:value` without a space, as old files of OpenCV have it; the readers of YAML need one.
 _TIGHT = re.compile(r"^([ \t]*(?:- )?[A-Za-z_][\w.]*):(?=[-+.\d\[\"'])", re.MULTILINE)
