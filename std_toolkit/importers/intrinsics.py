@@ -43,10 +43,10 @@ def read_intrinsics(
                 "four numbers are one camera", field="--camera", value=camera, hint="leave it out"
             )
         fx, fy, cx, cy = (float(p) for p in numbers)
-        found, note = y_down(Intrinsics(fx, fy, cx, cy))
+        given, note = y_down(Intrinsics(fx, fy, cx, cy))
         if note:
             logger.warning("%s: %s", text, note)
-        return found
+        return given
     path = Path(text)
     if not path.is_file():
         raise ToolkitError(
