@@ -47,7 +47,7 @@ class Mapper(enum.StrEnum):
 
 CameraConvention = Literal[
     "camera-to-world", "world-to-camera", "camera-to-world-opengl", "world-to-camera-opengl",
-    "camera-to-world-left-handed", "world-to-camera-left-handed",
+    "camera-to-world-unity", "world-to-camera-unity",
 ]  # fmt: skip
 
 
@@ -88,7 +88,7 @@ class KnownCameras(CheckedOptions):
     transforms.json, a COLMAP model or *_par.txt; see docs/camera-poses.md"""
     cameras_convention: CameraConvention | None = None
     """direction and camera axes of these poses; OpenCV axes (y down, z forward) where none are
-    named, y up and z forward for left-handed ones, as of Unity and ICL-NUIM (default: that of the
+    named, left-handed ones (y up, z forward) for unity, as of ICL-NUIM (default: that of the
     format; camera-to-world where it fixes none)"""
     cameras_unit: Literal["m", "cm", "mm", "unknown"] | None = None
     """unit of these positions; unknown estimates the scale (default: m; required for

@@ -106,7 +106,7 @@ def y_down(found: Intrinsics) -> tuple[Intrinsics, str]:
         return found, ""
     note = (
         f"fy is {found.fy:g}: y points up, axes are left-handed; {-found.fy:g} is taken, and poses "
-        "beside it need --cameras-convention camera-to-world-left-handed"
+        "beside it need --cameras-convention camera-to-world-unity"
     )
     return replace(found, fy=-found.fy), note
 

@@ -110,7 +110,7 @@ def find_layout(source: Path) -> Layout | None:
             intrinsics=_intrinsics(source) or _ICL_NUIM,
             depth_scale=_TUM_UNIT,
             poses=trajectory,
-            convention="camera-to-world-left-handed",
+            convention="camera-to-world-unity",
         )
     if color.name == "rgb" and (source / "metadata.json").is_file():
         return Layout(

@@ -24,7 +24,7 @@ _UNITS_IN_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "unknown": 1.0}
 # OpenGL camera axes (x right, y up, z backward) to OpenCV's.
 _CV_FROM_GL = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 _Y_UP = np.diag([1.0, -1.0, 1.0])
-_AXES = {"": "OpenCV", "opengl": "OpenGL", "left-handed": "left-handed"}
+_AXES = {"": "OpenCV", "opengl": "OpenGL", "unity": "Unity"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Convention:
         direction: "camera-to-world" or "world-to-camera"; with a hand-eye transform, of the
             flange instead of the camera.
         axes: of the camera: "" for OpenCV's, "opengl" for x right, y up, z backward, or
-            "left-handed" for x right, y up, z forward (POV-Ray, Unity), where y of the world is
+            "unity" for x right, y up, z forward (POV-Ray, too), where y of the world is
             turned over too.
         unit: unit of the positions.
         hand_eye: T_flange_cam, metres.
@@ -85,7 +85,7 @@ class Convention:
             hand_eye = SE3(self.hand_eye.R, self.hand_eye.t * self.hand_eye_factor)
             hand_eye = hand_eye.inverse() if self.hand_eye_inverted else hand_eye
             poses = [T @ hand_eye for T in poses]
-        if self.axes == "left-handed":
+        if self.axes == "unity":
             return [SE3(_Y_UP @ T.R @ _Y_UP, _Y_UP @ T.t) for T in poses]
         return [T @ _CV_FROM_GL for T in poses] if self.axes else poses
 

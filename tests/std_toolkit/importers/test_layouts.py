@@ -103,7 +103,7 @@ def test_icl_nuim_has_published_intrinsics(
         scene = import_recording(ImportRequest(source=root, name="s"), tmp_path / "scene")
     camera = scene.camera(scene.frames[0])
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (481.2, 480, 319.5, 239.5)
-    assert "gt.freiburg --cameras-convention camera-to-world-left-handed" in caplog.text
+    assert "gt.freiburg --cameras-convention camera-to-world-unity" in caplog.text
 
 
 def test_times_of_tum_stay_with_the_frames(tmp_path: Path) -> None:

@@ -101,8 +101,8 @@ def save_json(path: Path, M: np.ndarray) -> None:
         ("world-to-camera", np.linalg.inv),
         ("camera-to-world-opengl", lambda M: M @ FLIP),
         ("world-to-camera-opengl", lambda M: FLIP @ np.linalg.inv(M)),
-        ("camera-to-world-left-handed", lambda M: Y_UP @ M @ Y_UP),
-        ("world-to-camera-left-handed", lambda M: Y_UP @ np.linalg.inv(M) @ Y_UP),
+        ("camera-to-world-unity", lambda M: Y_UP @ M @ Y_UP),
+        ("world-to-camera-unity", lambda M: Y_UP @ np.linalg.inv(M) @ Y_UP),
     ],
 )
 def test_a_folder_of_matrices(

@@ -100,7 +100,7 @@ def test_known_poses_are_kept_exactly(ring: Recording, tmp_path: Path) -> None:
         ),
         (lambda M: M @ FLIP, "camera-to-world in OpenGL axes explains .* camera-to-world-opengl"),
         (lambda M: FLIP @ np.linalg.inv(M), "world-to-camera in OpenGL axes .*-to-camera-opengl"),
-        (lambda M: Y_UP @ M @ Y_UP, "left-handed axes explains .* camera-to-world-left-handed"),
+        (lambda M: Y_UP @ M @ Y_UP, "Unity axes explains .* camera-to-world-unity"),
     ],
 )
 def test_the_right_convention_is_named(
