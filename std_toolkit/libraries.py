@@ -31,6 +31,8 @@ UNREPORTED = {
     "HF_HUB_DISABLE_TELEMETRY": "1",
     "LIGHTNING_DISABLE_VERSION_CHECK": "1",
     "NO_ALBUMENTATIONS_UPDATE": "1",
+    # librealsense 2.59: its viewer sends what the library collects in ~/.rum of each use.
+    "RS2_RUM_CLOUD_ENABLED": "0",
     "DO_NOT_TRACK": "1",  # what several libraries ask before they report
 }
 

@@ -46,8 +46,9 @@ class Mapper(enum.StrEnum):
 
 
 CameraConvention = Literal[
-    "camera-to-world", "world-to-camera", "camera-to-world-opengl", "world-to-camera-opengl"
-]
+    "camera-to-world", "world-to-camera", "camera-to-world-opengl", "world-to-camera-opengl",
+    "camera-to-world-unity", "world-to-camera-unity",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +87,9 @@ class KnownCameras(CheckedOptions):
     """known camera poses: a folder with a 4x4 matrix per image or a file of all, TUM, CSV,
     transforms.json, a COLMAP model or *_par.txt; see docs/camera-poses.md"""
     cameras_convention: CameraConvention | None = None
-    """direction and camera axes of these poses; OpenCV axes (z forward) without -opengl (default:
-    that of the format; camera-to-world where it fixes none)"""
+    """direction and camera axes of these poses; OpenCV axes (y down, z forward) where none are
+    named, left-handed ones (y up, z forward) for unity, as of ICL-NUIM (default: that of the
+    format; camera-to-world where it fixes none)"""
     cameras_unit: Literal["m", "cm", "mm", "unknown"] | None = None
     """unit of these positions; unknown estimates the scale (default: m; required for
     transforms.json and COLMAP models)"""

@@ -16,7 +16,7 @@ from annotator.session import SetPoses
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp, so3_log
 
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 
 # Words around the numbers of a matrix as numpy, Python and others print it.
 _ORNAMENT = re.compile(r"\b(?:np\.|numpy\.)?(?:array|matrix|asarray)\b|\bdtype=\w+|[\[\](){},;]")

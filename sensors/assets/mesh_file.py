@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sensors.assets import asset
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M, check_mesh_size
+from std_toolkit.geometry.obj_files import FilesBeside
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.symmetry import Symmetry
 from std_toolkit.log import logger
@@ -113,7 +114,8 @@ def _read(path: Path) -> list[trimesh.Trimesh]:
             "not a mesh format", path=path, value=path.suffix, hint=f"one of {MESH_SUFFIXES}"
         )
     try:
-        loaded = trimesh.load(path, process=False, maintain_order=True)
+        beside = cast("Any", FilesBeside(path.parent))
+        loaded = trimesh.load(path, process=False, maintain_order=True, resolver=beside)
         found = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
     except Exception as error:  # trimesh's parsers raise whatever their file makes them raise
         raise ToolkitError(f"cannot read the mesh: {error}", path=path) from error

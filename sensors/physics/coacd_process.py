@@ -55,7 +55,9 @@ if __name__ == "__main__":
     assert Path(sys.argv[2]).suffix == ".npz"
     seconds = int(sys.argv[3])
     # A soft limit sends SIGXCPU, by which the caller knows the reason.
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    hard = seconds + 5 if most == resource.RLIM_INFINITY else min(most, seconds + 5)
+    resource.setrlimit(resource.RLIMIT_CPU, (min(seconds, hard), hard))
     folder = Path(sys.argv[2]).parent
     threading.Thread(target=_end_with_caller, args=(folder,), daemon=True).start()
     main(sys.argv[1], sys.argv[2])

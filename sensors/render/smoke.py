@@ -39,7 +39,9 @@ def limit_time(seconds: int) -> None:
         import resource
     except ImportError:  # Windows
         return
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    hard = seconds + 5 if most == resource.RLIM_INFINITY else min(most, seconds + 5)
+    resource.setrlimit(resource.RLIMIT_CPU, (min(seconds, hard), hard))
 
 
 def render_smallest(variant: str) -> None:

@@ -111,7 +111,7 @@ def _refuse_twice(kind: type[Any], words: Sequence[str]) -> None:
             raise UsageError(f"--{option.name}: given twice; give all values after one of them")
 
 
-_LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)(mm|cm|m)")
+_LENGTH = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(mm|cm|m)")
 _MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 

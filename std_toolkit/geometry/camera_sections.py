@@ -81,9 +81,14 @@ def is_filled(value: Any) -> bool:
     return isinstance(value, list) and not _mappings(value)
 
 
+def _is_whole(key: str, value: Mapping[str, Any]) -> bool:
+    """Whether a section is a value of its camera: a matrix, or ROS's region of interest."""
+    return is_filled(value) or plain_key(key) == "roi"
+
+
 def _children(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     for key, value in data.items():
-        if isinstance(value, Mapping) and not is_filled(value):
+        if isinstance(value, Mapping) and not _is_whole(key, value):
             yield key, value
         elif rows := _mappings(value):
             names = _row_names(rows)
@@ -111,7 +116,7 @@ def camera_sections(
     data = expanded(document)
     inner = [(name, expanded(child)) for name, child in _children(data)]
     own = {**above, **{k: v for k, v in data.items() if not isinstance(v, Mapping)}}
-    own |= {k: v for k, v in data.items() if isinstance(v, Mapping) and is_filled(v)}
+    own |= {k: v for k, v in data.items() if isinstance(v, Mapping) and _is_whole(k, v)}
     own = {k: v for k, v in own.items() if not _is_rows(v)}
     within = {name: list(camera_sections(child, "", {}, depth + 1)) for name, child in inner}
     own = _with_lens({name: child for name, child in inner if not within[name]}, own)

@@ -31,7 +31,13 @@ from std_toolkit.geometry.filed_lens import (
     model_of_fields,
     plain_key,
 )
-from std_toolkit.geometry.filed_numbers import filed_depth_unit, filed_size, number
+from std_toolkit.geometry.filed_numbers import (
+    filed_depth_unit,
+    filed_size,
+    number,
+    of_region,
+    y_down,
+)
 from std_toolkit.geometry.intrinsics import Intrinsics
 
 _COLOR = re.compile(r"(?<![a-z])(color|colour|rgb)(?![a-z])|^(color|colour|rgb)")
@@ -178,10 +184,12 @@ def _camera(name: str, fields: Mapping[str, Any], size: tuple[int, int] | None) 
     intrinsics = replace(
         found, distortion=lens.coefficients, size=filed_size(plain, found), model=lens.model
     )
+    intrinsics, region = of_region(intrinsics, plain, size)
+    intrinsics, axes = y_down(intrinsics)
     return FiledCamera(
         name=name,
         intrinsics=intrinsics,
-        lens=lens_sentence(intrinsics, lens.sources),
+        lens="; ".join(filter(None, (lens_sentence(intrinsics, lens.sources), region, axes))),
         depth_unit=filed_depth_unit(plain, of_depth="depth" in name.lower()),
     )
 

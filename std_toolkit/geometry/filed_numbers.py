@@ -3,9 +3,11 @@
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.filed_lens import plain_key
 from std_toolkit.geometry.intrinsics import Intrinsics
 
 _WIDTH = ("width", "w", "xres", "imagewidth", "imgwidth", "resx", "cols", "colorwidth")
@@ -20,7 +22,7 @@ _BOTH = (
     "shape",
     "size",
 )
-_DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+_DECIMAL = re.compile(r"[-+]?(\d+(?:\.\d*)?|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _SIDES = re.compile(r"(\d{1,6}) *[x*×,] *(\d{1,6})")
 # Metres per unit below 1, units per metre above 50; others are not clear.
 _DEPTH_UNIT = (
@@ -92,6 +94,76 @@ def filed_size(
         return None
     stated = [int(number(value, key)) for key, value in filter(None, pair)]
     return stated[0], stated[1]
+
+
+def y_down(found: Intrinsics) -> tuple[Intrinsics, str]:
+    """Intrinsics of a camera whose y points down, and what was changed.
+
+    A negative fy, as ICL-NUIM states it, means axes of x right, y up, z forward; the images are as
+    ever.
+    """
+    if found.fy >= 0 or found.fx <= 0:
+        return found, ""
+    note = (
+        f"fy is {found.fy:g}: y points up, axes are left-handed; {-found.fy:g} is taken, and poses "
+        "beside it need --cameras-convention camera-to-world-unity"
+    )
+    return replace(found, fy=-found.fy), note
+
+
+def of_region(
+    found: Intrinsics, plain: Mapping[str, tuple[str, Any]], size: tuple[int, int] | None
+) -> tuple[Intrinsics, str]:
+    """Intrinsics of the image that `roi` and `binning_x`, `binning_y` of ROS leave of the full one.
+
+    The definition of sensor_msgs/CameraInfo: K is that of the full image; the region, in its
+    pixels, is cut out first, and squares of its pixels are then combined to one.
+
+    Args:
+        found: those of the full image.
+        plain: plain key -> key as filed, value.
+        size: image size, if it is known.
+
+    Returns:
+        Intrinsics, and what was done; "" where the fields are those of the full image.
+
+    Raises:
+        ToolkitError: a field is no number, or the region is not within the image.
+    """
+    across, down = (max(1, _whole(plain, k)) for k in ("binningx", "binningy"))
+    key, roi = plain.get("roi", ("roi", None))
+    fields = roi if isinstance(roi, Mapping) else {}
+    inner = {plain_key(k): (f"{key}.{k}", v) for k, v in fields.items()}
+    x, y = _whole(inner, "xoffset"), _whole(inner, "yoffset")
+    full = found.size or (0, 0)
+    w, h = (_whole(inner, k) or n for k, n in zip(("width", "height"), full, strict=True))
+    if (across, down, x, y) == (1, 1, 0, 0) and (w, h) == full:
+        return found, ""
+    if min(w, h) <= 0 or (found.size and (x + w > full[0] or y + h > full[1])):
+        raise ToolkitError(
+            "the region is not within the image", field=key, value=[x, y, w, h],
+            hint="give --intrinsics fx,fy,cx,cy of the images as they are",
+        )  # fmt: skip
+    told = f"region {x},{y} {w}x{h} and binning {across}x{down} of {full[0]}x{full[1]}"
+    if size is not None and size == found.size:
+        return found, f"{told} are not applied: the images have the full size"
+    left = (w // across, h // down)
+    # Halves of squares at the border are kept by some drivers.
+    if size and abs(size[0] - w / across) < 1 and abs(size[1] - h / down) < 1:
+        left = size
+    cx, cy = (found.cx - x + 0.5) / across - 0.5, (found.cy - y + 0.5) / down - 0.5
+    changed = replace(
+        found, fx=found.fx / across, fy=found.fy / down, cx=cx, cy=cy, size=left, is_cropped=True
+    )
+    return changed, f"{told} are applied"
+
+
+def _whole(fields: Mapping[str, tuple[str, Any]], name: str) -> int:
+    key, value = fields.get(name, (name, 0))
+    found = number(value, key)
+    if found < 0 or found != int(found):
+        raise ToolkitError("must be a whole number from 0", field=key, value=value)
+    return int(found)
 
 
 def filed_depth_unit(

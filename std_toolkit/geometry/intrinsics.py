@@ -22,6 +22,7 @@ class Intrinsics:
         model: as in `Camera`.
         depth_scale: metres per unit of 16-bit depth images, if the source states it.
         notes: sentences on what was read, and from which keys.
+        is_cropped: whether the source states that the image is a part of a larger one.
     """
 
     fx: float
@@ -33,6 +34,7 @@ class Intrinsics:
     model: str = "opencv"
     depth_scale: float | None = field(default=None, compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
+    is_cropped: bool = field(default=False, compare=False)
 
     @staticmethod
     def of(camera: Camera) -> Intrinsics:
@@ -56,7 +58,10 @@ class Intrinsics:
         with located(path):
             camera = Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
         for name, value, extent in (("cx", self.cx, size[0]), ("cy", self.cy, size[1])):
-            if not off_centre and abs((value + 0.5) / extent - 0.5) > _OFF_CENTRE:
+            if (
+                not (off_centre or self.is_cropped)
+                and abs((value + 0.5) / extent - 0.5) > _OFF_CENTRE
+            ):
                 raise ToolkitError(
                     f"does not fit {shown} images: the centre is at {(extent - 1) / 2:g}",
                     path=path,

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh_damage import check_whole, refuse_piles, warn_of_loose_vertices
 from std_toolkit.geometry.mesh_records import read_records
-from std_toolkit.geometry.obj_files import ObjFiles, log_notes, read_obj
+from std_toolkit.geometry.obj_files import FilesBeside, ObjFiles, log_notes, read_obj
 from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
 from std_toolkit.geometry.ray_caster import import_open3d
+from std_toolkit.log import logger
 
 if TYPE_CHECKING:
     import trimesh
@@ -134,7 +135,10 @@ def parse_mesh(source: Path | ObjFiles, *, data: bytes | None = None, kind: str 
         text = io.BytesIO(source.data)
         loaded = trimesh.load(text, file_type="obj", resolver=cast("Any", source), **options)
     else:
-        loaded = trimesh.load(source, **options)
+        beside = FilesBeside(source.parent)
+        loaded = trimesh.load(source, resolver=cast("Any", beside), **options)
+        for name in beside.missing:
+            logger.warning("%s: %s is missing; the mesh is read without it", source, name)
     return loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
 
 

@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import unquote
 
 from PIL import Image
 
@@ -23,13 +24,14 @@ _LARGEST_TEXTURE_BYTES = 512 * 1024 * 1024
 # As of images of cameras, `io.image_header`.
 _LARGEST_PIXEL_COUNT = 64_000_000
 _MARK = b"\xef\xbb\xbf"
-_MTLLIB = re.compile(rb"^mtllib[ \t]+(.*?)[ \t]*\r?$", re.MULTILINE)
-_USEMTL = re.compile(rb"^usemtl(?:[ \t]+(.*?))?[ \t]*\r?$", re.MULTILINE)
+# Whole lines, which are stripped afterwards: patterns that find the end of a name themselves take
+# time with the square of its length.
+_MTLLIB = re.compile(rb"^mtllib[ \t]+([^\n]*)", re.MULTILINE)
+_USEMTL = re.compile(rb"^usemtl(?!\S)([^\n]*)", re.MULTILINE)
+_NEWMTL = re.compile(r"^newmtl[ \t]+([^\n]*)", re.MULTILINE)
+_VERTEX = re.compile(rb"^v[ \t]([^\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^f[ \t]", re.MULTILINE)
 _FACE_WITH_UV = re.compile(rb"^f[ \t]+-?\d+/-?\d", re.MULTILINE)
-_DECIMAL = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-# A vertex with a colour.
-_COLORED = re.compile(rb"^v(?:[ \t]+" + _DECIMAL + rb"){6}(?=[ \t]*\r?$)", re.MULTILINE)
 _MAP = re.compile(r"^[ \t]*(map_K[ade])\b", re.MULTILINE | re.IGNORECASE)
 _TEXTURE_KEYS = ("bump", "disp", "decal", "norm", "refl")
 # Options of texture lines, with their number of arguments; those of three may have fewer.
@@ -37,7 +39,7 @@ _OPTIONS = {
     "-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1,
     "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1, "-type": 1,
 }  # fmt: skip
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 _STORED = {"PNG": ".png", "JPEG": ".jpg"}
 # Other formats of textures, which are stored as PNG.
 _CONVERTED = ("BMP", "TGA", "TIFF", "WEBP", "GIF", "PPM")
@@ -60,7 +62,7 @@ class ObjFiles:
     @property
     def has_one_material(self) -> bool:
         """Whether texture coordinates belong to one texture as they are."""
-        return len({m.group(1) for m in _USEMTL.finditer(self.data)}) <= 1
+        return len({m.group(1).strip() for m in _USEMTL.finditer(self.data)}) <= 1
 
     def __getitem__(self, name: str) -> bytes:
         """The content of a file; with `get` and `keys` the interface of trimesh's resolvers."""
@@ -71,6 +73,46 @@ class ObjFiles:
     def keys(self) -> Iterable[str]:
         """Names of the files."""
         return self.files.keys()
+
+
+class FilesBeside:
+    """Files that a mesh of another format names: regular ones in its folder or below.
+
+    The reader of the mesh decides whether one that is missing is an error.
+
+    Attributes:
+        missing: names of those that are not there, or lie elsewhere.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        self.missing: list[str] = []
+
+    def __getitem__(self, name: str) -> bytes:
+        for text in dict.fromkeys((name.strip(), unquote(name.strip()))):
+            path = _resolved(self.folder, text)
+            if path is not None and path.is_relative_to(self.folder) and path.is_file():
+                if path.stat().st_size > _LARGEST_TEXTURE_BYTES:
+                    raise ValueError(f"{text} is implausibly large")
+                return path.read_bytes()
+        self.missing.append(name[:80])
+        raise FileNotFoundError(f"{name[:80]} is not a file in the folder of the mesh")
+
+    get = __getitem__
+
+    def keys(self) -> Iterable[str]:
+        """Nothing: files are found by their names alone."""
+        return ()
+
+
+def _resolved(folder: Path, name: str) -> Path | None:
+    """The path of a name; None for names that no file can have."""
+    try:
+        path = (folder / name.replace("\\", "/")).resolve()
+        path.is_file()
+    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a link to itself
+        return None
+    return path
 
 
 def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
@@ -85,7 +127,7 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
         ToolkitError: such a reference, a texture that is no image, or a material that is no text.
     """
     data = path.read_bytes().removeprefix(_MARK)
-    names = [m.group(1).decode("utf-8", "surrogateescape") for m in _MTLLIB.finditer(data)]
+    names = [_text(m.group(1)) for m in _MTLLIB.finditer(data)]
     reader = _Reader(path.parent, path, strict)
     text = "".join(reader.material(found) for name in names for found in reader.libraries(name))
     notes = reader.notes
@@ -98,8 +140,8 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
         target = _safe(Path(names[0].strip().strip('"').replace("\\", "/")).stem) + ".mtl"
         lines = iter([b"mtllib " + target.encode() if text else b""])
         data = _MTLLIB.sub(lambda _: next(lines, b""), data)
-    known = re.findall(r"^newmtl[ \t]+(.*?)[ \t]*$", text, re.MULTILINE)
-    used = {(m.group(1) or b"").decode("utf-8", "surrogateescape") for m in _USEMTL.finditer(data)}
+    known = [name.strip() for name in _NEWMTL.findall(text)]
+    used = {_text(m.group(1)) for m in _USEMTL.finditer(data)}
     if text and not used and "map_" in text.lower() and _FACE_WITH_UV.search(data):
         if len(set(known)) == 1:
             notes.append(f"no face names its material; the only one, {known[0]}, is used")
@@ -109,6 +151,7 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
             data = data[: start.start()] + line + data[start.start() :]
         else:
             notes.append("no face names its material (usemtl): the mesh stays without texture")
+    notes += _plain_colors(text, used & set(known))
     if text and (lost := sorted(used - set(known) - {""})):
         notes.append(f"materials are missing: {', '.join(lost[:4])}")
     files = dict(reader.files)
@@ -117,20 +160,49 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
     return ObjFiles(data, files, tuple(notes))
 
 
+def _text(name: bytes) -> str:
+    return name.strip().decode("utf-8", "surrogateescape")
+
+
+def _plain_colors(text: str, used: set[str]) -> list[str]:
+    """What is not shown of materials without a texture: a colour that no face has, or the only one.
+
+    Several colours are those of the faces.
+    """
+    colors: dict[str, str] = {}
+    name = ""
+    for words in (line.split() for line in text.splitlines()):
+        if words[:1] == ["newmtl"]:
+            name = " ".join(words[1:])
+        elif words[:1] == ["Kd"] and len(set(words[1:4])) > 1:  # grey is what is shown without
+            colors[name] = " ".join(words[1:4])
+    if not colors or _MAP.search(text):
+        return []
+    if not used:
+        return [f"no face names its material (usemtl): colour Kd {next(iter(colors.values()))} is "
+                "not shown"]  # fmt: skip
+    if len(used) == 1 and (only := colors.get(next(iter(used)))):
+        return [f"one colour, Kd {only}, and no texture: it is not shown, and tells no pose"]
+    return []
+
+
 def _colors_to_one(data: bytes) -> tuple[bytes, list[str]]:
     """Vertex colours of 0 to 255 as those of 0 to 1 that the format has, and what was changed."""
-    rows = [m.group(0).split() for m in _COLORED.finditer(data)]
-    if not rows:
+    rows = [m.group(1).split() for m in _VERTEX.finditer(data)]
+    try:
+        largest = max((float(word) for row in rows if len(row) == 6 for word in row[3:]), default=0)
+    except ValueError:  # the parser will say what is wrong
         return data, []
-    largest = max(float(word) for row in rows for word in row[4:7])
     if not 1 < largest <= 255:
         return data, []
 
     def scaled(match: re.Match[bytes]) -> bytes:
-        words = match.group(0).split()
-        return b" ".join([*words[:4], *(b"%.6f" % (float(w) / 255) for w in words[4:7])])
+        words = match.group(1).split()
+        if len(words) != 6:
+            return match.group(0)
+        return b" ".join([b"v", *words[:3], *(b"%.6f" % (float(w) / 255) for w in words[3:])])
 
-    return _COLORED.sub(scaled, data), ["vertex colours up to 255 are divided by 255"]
+    return _VERTEX.sub(scaled, data), ["vertex colours up to 255 are divided by 255"]
 
 
 def log_notes(path: Path, files: ObjFiles) -> None:
@@ -162,11 +234,10 @@ class _Reader:
 
     def inside(self, source: Path, text: str, *, quiet: bool = False) -> Path | None:
         """The file that a line of `source` names; None if it is missing."""
-        name = text.strip().strip('"').replace("\\", "/")
-        try:
-            path = (source.parent.resolve() / name).resolve()
-        except (ValueError, RuntimeError) as error:  # a zero byte; a link to itself
-            raise ToolkitError(f"names no file: {error}", path=source, value=text) from error
+        name = text.strip().strip('"')
+        path = _resolved(source.parent.resolve(), name)
+        if path is None:
+            raise ToolkitError("names no file", path=source, value=text[:80])
         if not name or not path.is_relative_to(self.folder):
             if self.strict:
                 raise ToolkitError(
@@ -224,7 +295,10 @@ def texture_options(text: str) -> tuple[dict[str, list[str]], str]:
     """
     found: dict[str, list[str]] = {}
     rest = text.strip()
-    while (words := rest.split(maxsplit=1)) and words[0].lower() in _OPTIONS and len(words) > 1:
+    for _ in _OPTIONS:  # each at most once
+        words = rest.split(maxsplit=1)
+        if len(words) < 2 or words[0].lower() not in _OPTIONS:
+            break
         option, rest = words[0].lower(), words[1]
         values: list[str] = []
         for _ in range(_OPTIONS[option]):

@@ -21,6 +21,9 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
+_MOST_ELEMENTS = 400
+# Differences of equal transforms: entries of the rotation, and metres.
+_SAME = np.array([1e-3] * 9 + [1e-4] * 3)
 
 
 @dataclass(frozen=True)
@@ -225,25 +228,30 @@ def closed_group(generators: Sequence[SE3]) -> list[SE3]:
         ToolkitError: it has more than 400 elements.
     """
     group = [SE3.identity()]
+    rows = np.empty((_MOST_ELEMENTS + 1, 12))
+    rows[0] = _row(group[0])
     frontier = list(group)
     while frontier:
-        fresh = []
+        before = len(group)
         for c in (a @ b for a in frontier for b in generators):
-            if not any(_same(c, g) for g in group):
-                group.append(c)
-                fresh.append(c)
-        if len(group) > 400:
-            raise ToolkitError(
-                "the discrete symmetries do not form a finite group",
-                field="symmetry",
-                hint="give a continuous symmetry as axis:x|y|z",
-            )
-        frontier = fresh
+            row = _row(c)
+            if (np.abs(rows[: len(group)] - row) < _SAME).all(axis=1).any():
+                continue
+            if len(group) >= _MOST_ELEMENTS:
+                raise ToolkitError(
+                    "the discrete symmetries do not form a finite group",
+                    field="symmetry",
+                    hint="give a continuous symmetry as axis:x|y|z",
+                )
+            rows[len(group)] = row
+            group.append(c)
+        frontier = group[before:]
     return group
 
 
-def _same(a: SE3, b: SE3) -> bool:
-    return bool(np.abs(a.R - b.R).max() < 1e-3 and np.abs(a.t - b.t).max() < 1e-4)
+def _row(T: SE3) -> Array:
+    """(12,) rotation and translation."""
+    return np.concatenate([T.R.ravel(), T.t])
 
 
 def nearest_variant(

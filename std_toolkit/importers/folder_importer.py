@@ -136,8 +136,9 @@ def _in_layout(request: ImportRequest, layout: Layout) -> ImportRequest:
     if given is None and layout.intrinsics is not None:
         given = str(layout.intrinsics)
     if layout.poses is not None and request.known.cameras is None:
+        how = f" --cameras-convention {layout.convention}" if layout.convention else ""
         log.logger.info(
-            "camera poses are here, not read: --cameras %s", layout.poses,
+            "camera poses are here, not read: --cameras %s%s", layout.poses, how,
             extra={"doctor": "ignored"},
         )  # fmt: skip
     if layout.kind in ("7scenes", "scannet"):

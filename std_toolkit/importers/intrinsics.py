@@ -9,11 +9,12 @@ from typing import Any
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.filed_cameras import FiledCamera, chosen_camera, filed_cameras
 from std_toolkit.geometry.filed_lens import plain_key
+from std_toolkit.geometry.filed_numbers import y_down
 from std_toolkit.geometry.intrinsics import Intrinsics
 from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.log import logger
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 def read_intrinsics(
@@ -42,7 +43,10 @@ def read_intrinsics(
                 "four numbers are one camera", field="--camera", value=camera, hint="leave it out"
             )
         fx, fy, cx, cy = (float(p) for p in numbers)
-        return Intrinsics(fx, fy, cx, cy)
+        given, note = y_down(Intrinsics(fx, fy, cx, cy))
+        if note:
+            logger.warning("%s: %s", text, note)
+        return given
     path = Path(text)
     if not path.is_file():
         raise ToolkitError(

@@ -1,6 +1,7 @@
 """Layouts of data sets and apps that consist of a folder of colour and one of depth images.
 
 tum        rgb/ and depth/ with rgb.txt and depth.txt; 5000 units per metre
+icl-nuim   as tum, with *.gt.freiburg; intrinsics and the left-handed axes are those published
 redwood    color/, rgb/ or image/ and depth/ with Open3D's intrinsics
 replica    results/frame*.jpg and results/depth*.png with cam_params.json
 scannet    color/, depth/, pose/, intrinsic/intrinsic_color.txt
@@ -22,6 +23,8 @@ _INTRINSICS = (
 )  # fmt: skip
 _POSES = ("groundtruth.txt", "traj.txt", "trajectory.log", "poses.txt", "transforms.json")
 _IMAGES = (".png", ".jpg", ".jpeg")
+# Of ICL-NUIM (Handa, Whelan, McDonald and Davison, ICRA 2014), whose page writes fy as -480.
+_ICL_NUIM = "481.2,480,319.5,239.5"
 # Of the formats as their authors file them, metres per unit.
 _TUM_UNIT, _MILLIMETRES = 0.0002, 0.001
 
@@ -33,17 +36,19 @@ class Layout:
     Attributes:
         kind: name in the module's table.
         color, depth: folders or patterns.
-        intrinsics: file of intrinsics, if there is one.
+        intrinsics: file of intrinsics, or four numbers that the format fixes.
         depth_scale: metres per unit that the layout fixes.
         poses: file or folder of camera poses, which are not read without --cameras.
+        convention: of these poses, if another than that of their format.
     """
 
     kind: str
     color: str
     depth: str
-    intrinsics: Path | None = None
+    intrinsics: Path | str | None = None
     depth_scale: float | None = None
     poses: Path | None = None
+    convention: str | None = None
 
 
 def find_layout(source: Path) -> Layout | None:
@@ -96,6 +101,16 @@ def find_layout(source: Path) -> Layout | None:
             intrinsics=_intrinsics(source),
             depth_scale=_TUM_UNIT,
             poses=_poses(source),
+        )
+    if trajectory := next(iter(sorted(source.glob("*.gt.freiburg"))), None):
+        return Layout(
+            kind="icl-nuim",
+            color=str(color),
+            depth=str(depth),
+            intrinsics=_intrinsics(source) or _ICL_NUIM,
+            depth_scale=_TUM_UNIT,
+            poses=trajectory,
+            convention="camera-to-world-unity",
         )
     if color.name == "rgb" and (source / "metadata.json").is_file():
         return Layout(

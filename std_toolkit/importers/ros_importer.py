@@ -286,19 +286,22 @@ def _camera(reader: Any, color: ImageTopic, request: ImportRequest) -> Camera:
     if given is not None:
         intrinsics = read_intrinsics(given, size=size, camera=request.camera)
     else:
-        intrinsics, given = _camera_info(reader, color, request.source)
+        intrinsics, given = _camera_info(reader, color, request.source, size)
     intrinsics = with_distortion(intrinsics, request.distortion)
     return intrinsics.camera(size, path=given, off_centre=request.off_centre)
 
 
-def _camera_info(reader: Any, color: ImageTopic, source: Path) -> tuple[Intrinsics, str]:
+def _camera_info(
+    reader: Any, color: ImageTopic, source: Path, size: tuple[int, int]
+) -> tuple[Intrinsics, str]:
     """Intrinsics of the colour camera, and the topic that they are from."""
     beside = f"{color.base.rpartition('/')[0]}/camera_info"
     connections = [c for c in reader.connections if c.msgtype == _CAMERA_INFO]
     for connection in sorted(connections, key=lambda c: c.topic != beside):
         for _, _, info in _messages(reader, (connection,)):
             if connection.topic == beside or info.header.frame_id == color.first.frame_id:
-                return _intrinsics_of(info, color, source, connection.topic), connection.topic
+                name = connection.topic
+                return _intrinsics_of(info, color, source, name, size), name
             break
     raise ToolkitError(
         "the recording has no camera_info of the colour camera",
@@ -308,7 +311,9 @@ def _camera_info(reader: Any, color: ImageTopic, source: Path) -> tuple[Intrinsi
     )
 
 
-def _intrinsics_of(info: Any, color: ImageTopic, source: Path, topic: str) -> Intrinsics:
+def _intrinsics_of(
+    info: Any, color: ImageTopic, source: Path, topic: str, size: tuple[int, int]
+) -> Intrinsics:
     k = np.asarray(getattr(info, "k", getattr(info, "K", None)), float).reshape(3, 3)
     fields: dict[str, Any]
     d = [float(x) for x in getattr(info, "d", getattr(info, "D", ()))]
@@ -316,12 +321,15 @@ def _intrinsics_of(info: Any, color: ImageTopic, source: Path, topic: str) -> In
         k = np.asarray(getattr(info, "p", getattr(info, "P", None)), float).reshape(3, 4)[:, :3]
         d = []
     fields = {"K": k.ravel().tolist(), "width": int(info.width), "height": int(info.height)}
+    fields |= {name: int(getattr(info, name)) for name in ("binning_x", "binning_y")}
+    sides = ("x_offset", "y_offset", "width", "height")
+    fields["roi"] = {side: int(getattr(info.roi, side)) for side in sides}
     if not is_rectified:
         fields |= {"distortion_model": str(info.distortion_model), "D": d}
     if not (info.width and info.height):
         del fields["width"], fields["height"]
     try:
-        found = camera_of_fields(fields, source, name=topic)
+        found = camera_of_fields(fields, source, name=topic, size=size)
     except ToolkitError as error:
         hint = "record the rectified images (image_rect_color)"
         raise error.revised(hint=hint if "model" in error.problem else error.hint) from error

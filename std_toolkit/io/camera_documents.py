@@ -17,13 +17,15 @@ _LARGEST_FILE = 1024 * 1024
 # Real files of cameras have below 10 levels.
 _DEEPEST = 40
 # No pattern has two neighbours that match the same text: a long file would take quadratic time.
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _WORD = re.compile(rf"{_NUMBER}|[-+]?\.?nan|[-+]?\.?inf", re.IGNORECASE)
 # `key:value` without a space, as old files of OpenCV have it; the readers of YAML need one.
 _TIGHT = re.compile(r"^([ \t]*(?:- )?[A-Za-z_][\w.]*):(?=[-+.\d\[\"'])", re.MULTILINE)
 _YAML_KEY = re.compile(r"^[ \t]*(?:- )?[\"']?[A-Za-z_][\w.]*[\"']?[ \t]*:", re.MULTILINE)
 _EQUATION = re.compile(r"^[ \t]*[A-Za-z_][\w .\t]*=", re.MULTILINE)
 _SECTION = re.compile(r"^[ \t]*\[[^\]\n]+\][ \t]*$", re.MULTILINE)
+# Of arrays of NumPy; those of OpenCV's calibration with all corners of 100 images have fewer.
+_MOST_NUMBERS = 100_000
 # `print(intrinsics)` of librealsense.
 _REALSENSE_LINE = re.compile(
     r"(\d{1,6})x(\d{1,6}) {1,9}p\[([^\]]{0,99})\] {1,9}f\[([^\]]{0,99})\] {1,9}"
@@ -42,10 +44,15 @@ def read_camera_document(path: Path, size: tuple[int, int] | None) -> Any:
         ToolkitError: unreadable, or of no known syntax.
     """
     suffix = path.suffix.lower()
-    if suffix == ".npy":
-        return read_npy(path).tolist()
-    if suffix == ".npz":
-        return {name: values.tolist() for name, values in read_npz(path).items()}
+    if suffix in (".npy", ".npz"):
+        arrays = read_npz(path) if suffix == ".npz" else {"": read_npy(path)}
+        if sum(values.size for values in arrays.values()) > _MOST_NUMBERS:
+            raise ToolkitError(
+                "holds more numbers than a calibration", path=path, value=sorted(arrays)[:8],
+                hint="save the camera matrix and the distortion alone",
+            )  # fmt: skip
+        found = {name: values.tolist() for name, values in arrays.items()}
+        return found if suffix == ".npz" else found[""]
     if suffix in (".pkl", ".pickle", ".p", ".mat"):
         raise ToolkitError(
             "files of pickle and MATLAB are not read", path=path,

@@ -23,6 +23,8 @@ from std_toolkit.scene import Frame
 _UNITS_IN_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "unknown": 1.0}
 # OpenGL camera axes (x right, y up, z backward) to OpenCV's.
 _CV_FROM_GL = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+_Y_UP = np.diag([1.0, -1.0, 1.0])
+_AXES = {"": "OpenCV", "opengl": "OpenGL", "unity": "Unity"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,9 @@ class Convention:
     Attributes:
         direction: "camera-to-world" or "world-to-camera"; with a hand-eye transform, of the
             flange instead of the camera.
-        opengl: whether the camera axes are x right, y up, z backward.
+        axes: of the camera: "" for OpenCV's, "opengl" for x right, y up, z backward, or
+            "unity" for x right, y up, z forward (POV-Ray, too), where y of the world is
+            turned over too.
         unit: unit of the positions.
         hand_eye: T_flange_cam, metres.
         hand_eye_inverted: whether `hand_eye` is T_cam_flange instead.
@@ -42,7 +46,7 @@ class Convention:
     """
 
     direction: str = "camera-to-world"
-    opengl: bool = False
+    axes: str = ""
     unit: str = "m"
     hand_eye: SE3 | None = None
     hand_eye_inverted: bool = False
@@ -52,7 +56,7 @@ class Convention:
     @property
     def title(self) -> str:
         """What is read, in words."""
-        axes = "OpenGL" if self.opengl else "OpenCV"
+        axes = _AXES[self.axes]
         title = f"{self.direction} in {axes} axes"
         if self.hand_eye is not None:
             to_base = self.direction == "camera-to-world"
@@ -67,7 +71,7 @@ class Convention:
 
     @property
     def option(self) -> str:
-        return self.direction + ("-opengl" if self.opengl else "")
+        return "-".join(filter(None, (self.direction, self.axes)))
 
     def apply(self, matrices: NDArray[np.float64]) -> list[SE3]:
         """Return T_world_cam in metres (or the unknown unit) of filed matrices (N, 4, 4)."""
@@ -81,7 +85,9 @@ class Convention:
             hand_eye = SE3(self.hand_eye.R, self.hand_eye.t * self.hand_eye_factor)
             hand_eye = hand_eye.inverse() if self.hand_eye_inverted else hand_eye
             poses = [T @ hand_eye for T in poses]
-        return [T @ _CV_FROM_GL for T in poses] if self.opengl else poses
+        if self.axes == "unity":
+            return [SE3(_Y_UP @ T.R @ _Y_UP, _Y_UP @ T.t) for T in poses]
+        return [T @ _CV_FROM_GL for T in poses] if self.axes else poses
 
     def alternatives(self, filed: FiledOrder | None) -> list[tuple[Convention, str]]:
         """Other conventions in use, with the advice that selects each.
@@ -91,8 +97,8 @@ class Convention:
         """
         found = []
         for direction in ("camera-to-world", "world-to-camera"):
-            for opengl in (False, True):
-                other = replace(self, direction=direction, opengl=opengl)
+            for axes in _AXES:
+                other = replace(self, direction=direction, axes=axes)
                 found.append((other, f"use --cameras-convention {other.option}"))
         if self.hand_eye is not None:
             inverted = [
@@ -106,7 +112,7 @@ class Convention:
                         replace(c, hand_eye_factor=factor),
                         f"{advice} and --cameras-unit {unit}, or the matching --hand-eye-unit",
                     )
-                    for c, advice in found[:4]
+                    for c, advice in found[: 2 * len(_AXES)]
                 ]
         if filed is not None:
             swapped: QuaternionOrder = "xyzw" if filed.order == "wxyz" else "wxyz"
@@ -117,7 +123,7 @@ class Convention:
                     f"use --cameras-quaternion {turned or filed.order}"
                     + ("" if c.option == self.option else advice.removeprefix("use")),
                 )
-                for c, advice in found[:4]
+                for c, advice in found[: 2 * len(_AXES)]
             ]
         return [(c, advice) for c, advice in found if c != self]
 
@@ -254,9 +260,10 @@ def convention_of(options: KnownCameras, filed: FiledCameras) -> Convention:
     hand_eye = None
     if options.hand_eye is not None:
         hand_eye = read_transform(options.hand_eye, unit_in_m=_UNITS_IN_M[options.hand_eye_unit])
+    axes = next((a for a in _AXES if a and name.endswith(a)), "")
     return Convention(
-        direction=name.removesuffix("-opengl"),
-        opengl=name.endswith("-opengl"),
+        direction=name.removesuffix(f"-{axes}"),
+        axes=axes,
         unit=options.cameras_unit or filed.unit or "m",
         hand_eye=hand_eye,
         quaternion=given if order is not None and given != order.order else None,

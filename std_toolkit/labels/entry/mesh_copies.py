@@ -16,7 +16,7 @@ from std_toolkit.geometry.obj_files import read_obj
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.scene.document import safe_name
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _VERTEX = re.compile(rf"^(v\s+)({_NUMBER})(\s+)({_NUMBER})(\s+)({_NUMBER})")
 
 

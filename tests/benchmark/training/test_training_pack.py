@@ -159,7 +159,7 @@ def test_a_damaged_frame_is_told_left_out_and_tried_again(tmp_path, capsys):
     assert len(PackedFrames([folder])) == 6
 
 
-@pytest.mark.parametrize("harm", ["cut", "missing", "pickle", "other"])
+@pytest.mark.parametrize("harm", ["cut", "missing", "pickle", "header", "other"])
 def test_a_damaged_shard_is_told(harm, data, tmp_path):
     folder = packed(tmp_path / "p", data)
     shard = folder / "shard-00001.npy"
@@ -170,6 +170,8 @@ def test_a_damaged_shard_is_told(harm, data, tmp_path):
         shard.unlink()
     elif harm == "pickle":
         np.save(shard, np.array([{}, {}], object), allow_pickle=True)
+    elif harm == "header":
+        shard.write_bytes(content.replace(b"'shape': (", b"'shape': (\xff\xff", 1))
     else:
         np.save(shard, np.zeros(3))
     frames = PackedFrames([folder])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import resource
 import time
@@ -34,6 +35,12 @@ def alias_bomb() -> str:
     return "\n".join(lines)
 
 
+def packed(count: int) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, K=np.zeros(count))
+    return file.getvalue()
+
+
 NUMBER = "1" * 400
 MEGABYTE = 1024 * 1024 - 100
 MATRIX = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]
@@ -61,6 +68,7 @@ CASES: dict[str, tuple[str, str | bytes, Callable[[Path], object]]] = {
     "more than 64 bits": ("p.npy", header_of((2**40, 2**40)), read_pose),
     "cameras of a terabyte": ("c.npy", header_of((10**11, 4, 4)), read_cameras),
     "cut array": ("p.npy", header_of((10, 7)), read_npy),
+    "a million numbers": ("k.npz", packed(10**6), lambda p: read_intrinsics(str(p))),
     "long integer in a pose": (
         "p.json",
         json.dumps({"pose": MATRIX}).replace("[1, 0", f"[{NUMBER}, 0"),

@@ -128,8 +128,13 @@ class RosWriter:
         d: Sequence[float] = (0,) * 5,
         model: str = "plumb_bob",
         frame: str = "color_optical",
+        *,
+        k: tuple[float, float, float, float] = K,
+        size: tuple[int, int] = SIZE,
+        binning: tuple[int, int] = (0, 0),
+        region: tuple[int, int, int, int] = (0, 0, 0, 0),
     ) -> None:
-        fx, fy, cx, cy = K
+        fx, fy, cx, cy = k
         names = "dkrp" if self.is2 else "DKRP"
         matrices = (
             np.array(d, float),
@@ -137,17 +142,18 @@ class RosWriter:
             np.eye(3).reshape(-1),
             np.array([fx + 2, 0, cx, 0, 0, fy + 2, cy, 0, 0, 0, 1.0, 0]),
         )
-        roi = self.type("sensor_msgs/msg/RegionOfInterest")(0, 0, 0, 0, False)
+        x, y, w, h = region
+        roi = self.type("sensor_msgs/msg/RegionOfInterest")(x, y, h, w, False)
         self.write(
             topic,
             "sensor_msgs/msg/CameraInfo",
             seconds,
             header=self.header(seconds, frame),
-            height=SIZE[1],
-            width=SIZE[0],
+            height=size[1],
+            width=size[0],
             distortion_model=model,
-            binning_x=0,
-            binning_y=0,
+            binning_x=binning[0],
+            binning_y=binning[1],
             roi=roi,
             **dict(zip(names, matrices, strict=True)),
         )

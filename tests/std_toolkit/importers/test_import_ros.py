@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -179,6 +180,43 @@ def test_a_lens_is_kept_and_rectified_images_have_none(tmp_path: Path) -> None:
         camera = scene.camera(scene.frames[0])
         assert bool(camera.distortion) == (name == "raw")
         assert camera.fx == (K[0] if name == "raw" else K[0] + 2)
+
+
+@pytest.mark.parametrize(
+    ("k", "full", "region", "binning", "wanted"),
+    [
+        ((160, 162, 95, 63.5), (192, 128), (0, 0, 0, 0), (2, 2), (80, 81, 47.25, 31.5)),
+        ((80, 81, 57, 52.5), (300, 200), (10, 20, 96, 64), (1, 0), K),
+        ((80, 81, 37, 41), (300, 200), (10, 20, 96, 64), (0, 0), (80, 81, 27, 21)),
+        ((160, 81, 104, 52), (300, 300), (10, 20, 193, 64), (2, 1), (80, 81, 46.75, 32)),
+        (K, SIZE, (10, 20, 50, 40), (2, 2), K),  # stated, but the images are whole
+    ],
+)
+def test_a_region_and_binning_of_the_camera(
+    k: Any, full: Any, region: Any, binning: Any, wanted: Any, tmp_path: Path, caplog: Any
+) -> None:
+    with RosWriter(tmp_path / "rec") as out:
+        out.info(INFO, 100, k=k, size=full, region=region, binning=binning)
+        out.image(COLOR, 100, color_image(0), "rgb8")
+    with caplog.at_level("INFO", "std_toolkit"):
+        scene = imported(tmp_path / "rec")
+    camera = scene.camera(scene.frames[0])
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx(wanted)
+    assert f"binning {max(1, binning[0])}x" in caplog.text
+    assert ("not applied" in caplog.text) == (full == SIZE)
+
+
+def test_a_region_that_leaves_another_image_is_refused(tmp_path: Path) -> None:
+    for region, words in (
+        ((0, 0, 40, 30), "40x30"),
+        ((290, 0, 40, 30), r"camera_info.roi: the region"),
+    ):
+        folder = tmp_path / str(region[0]) / "rec"
+        with RosWriter(folder) as out:
+            out.info(INFO, 100, size=(300, 200), region=region)
+            out.image(COLOR, 100, color_image(0), "rgb8")
+        with pytest.raises(ToolkitError, match=words):
+            imported(folder)
 
 
 def test_a_fisheye_is_undistorted(tmp_path: Path) -> None:

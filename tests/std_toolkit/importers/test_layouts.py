@@ -32,9 +32,10 @@ def image(path: Path, scale: float = 0.001) -> None:
 
 
 def write(root: Path, kind: str) -> Path:
-    scale = {"tum": 0.0002, "replica": 1 / 6553.5}.get(kind, 0.001)
+    scale = {"tum": 0.0002, "icl-nuim": 0.0002, "replica": 1 / 6553.5}.get(kind, 0.001)
     colors, depths = {
         "tum": ([f"rgb/{s}.png" for s in STAMPS], [f"depth/{s}.png" for s in STAMPS]),
+        "icl-nuim": (["rgb/0.png", "rgb/1.png"], ["depth/0.png", "depth/1.png"]),
         "redwood": (["image/0001.jpg", "image/0002.jpg"], ["depth/0001.png", "depth/0002.png"]),
         "replica": (["results/frame000000.jpg"], ["results/depth000000.png"]),
         "scannet": (["color/0.jpg", "color/1.jpg"], ["depth/0.png", "depth/1.png"]),
@@ -51,6 +52,11 @@ def write(root: Path, kind: str) -> Path:
             "groundtruth.txt": f"{STAMPS[0]} 0 0 0 0 0 0 1\n",
             "camera.yaml": "fx: 60\nfy: 60\ncx: 31.5\ncy: 23.5\n",
         },
+        "icl-nuim": {
+            "associations.txt": "0 depth/0.png 0 rgb/0.png\n1 depth/1.png 1 rgb/1.png\n",
+            "livingRoom0.gt.freiburg": "1 0 0 0 0 0 0 1\n",
+            "camera.yaml": "K: [60, 0, 31.5, 0, -60, 23.5, 0, 0, 1]\n",
+        },
         "redwood": {"camera_intrinsic.json": json.dumps(OPEN3D)},
         "replica": {"cam_params.json": json.dumps(REPLICA), "traj.txt": "1 0 0 0\n"},
         "scannet": {"intrinsic/intrinsic_color.txt": MATRIX, "pose/0.txt": MATRIX},
@@ -64,7 +70,7 @@ def write(root: Path, kind: str) -> Path:
     return root
 
 
-KINDS = ["tum", "redwood", "replica", "scannet", "7scenes", "record3d", "separate"]
+KINDS = ["tum", "icl-nuim", "redwood", "replica", "scannet", "7scenes", "record3d", "separate"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -82,6 +88,22 @@ def test_a_layout_is_imported(kind: str, tmp_path: Path, caplog: pytest.LogCaptu
     assert layout is not None
     if layout.poses is not None:
         assert f"--cameras {layout.poses}" in caplog.text
+
+
+def test_icl_nuim_has_published_intrinsics(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    root = write(tmp_path / "rec", "icl-nuim")
+    (root / "camera.yaml").unlink()
+    for name in ("rgb/0.png", "rgb/1.png"):
+        write_color(root / name, np.full((480, 640, 3), 80, np.uint8))
+    for name in ("depth/0.png", "depth/1.png"):
+        write_depth_png16(root / name, np.full((480, 640), 0.7), scale=0.0002)
+    with caplog.at_level("INFO", "std_toolkit"):
+        scene = import_recording(ImportRequest(source=root, name="s"), tmp_path / "scene")
+    camera = scene.camera(scene.frames[0])
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (481.2, 480, 319.5, 239.5)
+    assert "gt.freiburg --cameras-convention camera-to-world-unity" in caplog.text
 
 
 def test_times_of_tum_stay_with_the_frames(tmp_path: Path) -> None:

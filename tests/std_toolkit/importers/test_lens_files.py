@@ -60,6 +60,12 @@ KALIBR = {
 READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "ros, list of lines": (ROS + BLOCK, "opencv", FIVE),
     "ros2 topic echo": (ECHO, "opencv", FIVE),
+    "ros2 topic echo, a region in halves": (
+        ECHO.replace("height: 48\nwidth: 64", "height: 200\nwidth: 300")
+        .replace("d:\n", "roi:\n  x_offset: 7\n  y_offset: 5\n  height: 96\n  width: 128\nd:\n")
+        .replace(f"{K[0]}\n", "120\n").replace(f"- {K[4]}\n", "- 120\n")
+        .replace("31.5", "70.5").replace("23.5", "52.5")
+        .replace("binning_x: 0", "binning_x: 2\nbinning_y: 2"), "opencv", FIVE),
     "ros2 topic echo, two messages": (ECHO + ECHO, "opencv", FIVE),
     "kalibr": (f"cam0:\n  {lines(**KALIBR).strip().replace(chr(10), chr(10) + '  ')}\n",
                "opencv", FOUR),
@@ -142,6 +148,7 @@ READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "matlab counts pixels from 1": (json.dumps(
         {"IntrinsicMatrix": [[60, 0, 0], [0, 60, 0], [32.5, 24.5, 1]], "ImageSize": [48, 64],
          "RadialDistortion": FIVE[:2], "TangentialDistortion": FIVE[2:4]}), "opencv", FOUR),
+    "y up, as ICL-NUIM": (json.dumps({"K": [60, 0, 31.5, 0, -60, 23.5, 0, 0, 1]}), "opencv", ()),
     "numbers as text": (json.dumps({k: str(v) for k, v in {**NUMBERS, **NAMED}.items()}),
                         "opencv", FIVE),
     "a list as text": (
@@ -302,6 +309,7 @@ def test_the_colour_camera_is_taken_of_colour_and_depth(tmp_path: Path) -> None:
     ("fields", "words"),
     [
         ({"K": K}, "lens.json: it states no distortion"),
+        ({**NUMBERS, "fy": -60}, "fy is -60: y points up, axes are left-handed; 60 is taken"),
         ({"K": K, "D": [0, 0, 0, 0]}, "no distortion (D is 0)"),
         ({"K": K, "D": FIVE}, "opencv lens -0.28 0.07 0.0002 1.7e-05 0 (from D)"),
     ],

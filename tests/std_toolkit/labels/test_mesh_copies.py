@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import struct
+import time
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +112,23 @@ def test_a_material_that_is_missing_is_named(
     assert "materials are missing: T" in caplog.text
 
 
+def test_colours_of_materials_without_texture(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mtl = "newmtl R r\nKd 0.8 0.1 0.1\nnewmtl B\nKd 0.1 0.1 0.8\n"
+    (tmp_path / "a.mtl").write_text(mtl)
+    path = obj(
+        tmp_path / "a.obj", "mtllib a.mtl", *VERTICES, *UV, "usemtl R r", *FACES[:6], "usemtl B",
+        *FACES[6:],
+    )  # fmt: skip
+    assert colors_of(copied(path)) == {(204, 26, 26), (26, 26, 204)}
+    assert "Kd" not in caplog.text
+    copied(obj(path, "mtllib a.mtl", "usemtl R r", *VERTICES, *UV, *FACES))
+    assert "one colour, Kd 0.8 0.1 0.1, and no texture: it is not shown" in caplog.text
+    copied(obj(path, "mtllib a.mtl", *VERTICES, *UV, *FACES))
+    assert "(usemtl): colour Kd 0.8 0.1 0.1 is not shown" in caplog.text
+
+
 @pytest.mark.parametrize("name", ["杯子.obj", "rec [1].obj", "ça va.OBJ", "🙂.obj"])
 def test_names_of_any_script(name: str, tmp_path: Path) -> None:
     picture(tmp_path / "红.png", RED)
@@ -209,7 +229,7 @@ def test_a_copy_that_differs_is_refused(tmp_path: Path) -> None:
         check_same_mesh(mesh, painted, path=path)
 
 
-def test_the_texture_of_a_ply_comes_along(tmp_path: Path) -> None:
+def test_the_texture_of_a_ply_comes_along(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     picture(tmp_path / "red.png", RED)
     vertices = "\n".join(f"{x} {y} {z} 0.5 0.5" for x, y, z in BOX.vertices)
     faces = "\n".join(f"3 {a} {b} {c}" for a, b, c in BOX.faces)
@@ -221,6 +241,57 @@ def test_the_texture_of_a_ply_comes_along(tmp_path: Path) -> None:
     assert list(files) == ["box.glb"]
     (tmp_path / "copy").mkdir()
     assert colors_of(load_mesh(write_mesh_copy(tmp_path / "copy", files))) == {RED}
+    (tmp_path / "red.png").unlink()
+    os.mkfifo(tmp_path / "red.png")  # nobody writes to it
+    assert len(load_mesh(tmp_path / "box.ply").faces) == 12
+    assert "red.png is missing; the mesh is read without it" in caplog.text
+
+
+def test_buffers_of_gltf_are_files_beside_it(tmp_path: Path) -> None:
+    for name, data in trimesh.Scene([BOX]).export(file_type="gltf").items():
+        (tmp_path / name).write_bytes(data)
+    buffer = sorted(tmp_path.glob("*.bin"))[0]
+    named = buffer.rename(tmp_path / "a b.bin")
+    path, text = tmp_path / "model.gltf", (tmp_path / "model.gltf").read_text()
+    path.write_text(text.replace(buffer.name, "a%20b.bin"))
+    assert len(load_mesh(path).faces) == 12
+    named.unlink()
+    os.mkfifo(named)
+    for uri in ("a%20b.bin", "../../etc/passwd", "http://127.0.0.1/a.bin", "x" * 5000):
+        path.write_text(text.replace(buffer.name, uri))
+        with pytest.raises(ToolkitError, match="is not a file in the folder of the mesh"):
+            load_mesh(path)
+
+
+LONG = 300_000
+LINES = {
+    "mtllib": "mtllib a" + " " * LONG + "b",
+    "usemtl": "usemtl a" + " " * LONG + "b",
+    "number": "v 0 0 " + "1" * LONG + "x",
+    "colour": "v 0 0 0 0 0 " + "1" * LONG + "x",
+    "spaces": " " * LONG + "x",
+    "name": "mtllib " + "a" * LONG,
+}
+
+
+@pytest.mark.parametrize("line", LINES)
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_a_long_line_takes_no_time(line: str, unit: str, tmp_path: Path) -> None:
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in BOX.faces]
+    path = obj(tmp_path / "a.obj", LINES[line], *VERTICES, *faces)
+    began = time.process_time()
+    with contextlib.suppress(ToolkitError):
+        plan_mesh_copy(path, unit=unit)
+    assert time.process_time() - began < 2
+
+
+def test_a_long_line_of_a_material_takes_no_time(tmp_path: Path) -> None:
+    began = time.process_time()
+    texture_options("-s " * LONG)
+    (tmp_path / "a.mtl").write_text("newmtl a" + " " * LONG + "b\nmap_Kd " + "-s " * LONG)
+    with pytest.raises(ToolkitError, match=r"a\.mtl: names no file"):
+        copied(obj(tmp_path / "a.obj", "mtllib a.mtl", *VERTICES, *UV, *FACES))
+    assert time.process_time() - began < 2
 
 
 @pytest.mark.parametrize("fault", ["zero byte", "link to itself"])

@@ -30,6 +30,7 @@ def same(pose: SE3) -> bool:
         ("a.json", M.tolist(), {}),
         ("a.json", M[:3].ravel().tolist(), {}),
         ("a.json", {"T_cam_obj": M.ravel().tolist()}, {}),
+        ("bom.json", "\ufeff" + json.dumps(M.tolist()), {}),
         ("a.json", {"pose": (M * [1, 1, 1, 1000])[:3].tolist()}, {"unit": "mm"}),
         ("a.json", (FLIP @ M).tolist(), {"convention": "opengl"}),
         ("a.json", {"quaternion_wxyz": WXYZ.tolist(), "translation_m": POSE.t.tolist()}, {}),

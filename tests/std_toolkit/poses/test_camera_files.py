@@ -22,6 +22,7 @@ from std_toolkit.scene import CameraModel, CameraPoses, Frame, FramePose, Frames
 
 CAMERA = Camera(64, 48, 60.0, 61.0, 31.0, 24.0, (-0.1, 0.01, 0.002, 0.001))
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+Y_UP = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def make_scene(root: Path, *, timed: bool = True) -> Scene:
@@ -100,6 +101,8 @@ def save_json(path: Path, M: np.ndarray) -> None:
         ("world-to-camera", np.linalg.inv),
         ("camera-to-world-opengl", lambda M: M @ FLIP),
         ("world-to-camera-opengl", lambda M: FLIP @ np.linalg.inv(M)),
+        ("camera-to-world-unity", lambda M: Y_UP @ M @ Y_UP),
+        ("world-to-camera-unity", lambda M: Y_UP @ np.linalg.inv(M) @ Y_UP),
     ],
 )
 def test_a_folder_of_matrices(

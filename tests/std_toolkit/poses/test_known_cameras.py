@@ -25,6 +25,7 @@ from tests.std_toolkit.poses.conftest import CAMERA, Recording, make_recording
 
 OPTIONS = PoseOptions(threads=1, max_features=1500)
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+Y_UP = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +100,7 @@ def test_known_poses_are_kept_exactly(ring: Recording, tmp_path: Path) -> None:
         ),
         (lambda M: M @ FLIP, "camera-to-world in OpenGL axes explains .* camera-to-world-opengl"),
         (lambda M: FLIP @ np.linalg.inv(M), "world-to-camera in OpenGL axes .*-to-camera-opengl"),
+        (lambda M: Y_UP @ M @ Y_UP, "Unity axes explains .* camera-to-world-unity"),
     ],
 )
 def test_the_right_convention_is_named(

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("manifold3d")
 
+from std_toolkit.cli.scanning import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.images import read_color, write_color, write_png
@@ -271,6 +272,23 @@ def test_files_of_the_user_are_not_replaced(tmp_path: Path) -> None:
 def test_an_object_is_chosen_on_a_board_alone(tmp_path: Path, option: str) -> None:
     with pytest.raises(ToolkitError, match=f"--{option}: chooses one of several objects"):
         options_for(tmp_path, **{option: "0.png:3,4"})
+
+
+def test_an_error_of_an_engine_is_not_ours(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras = write_photos(tmp_path / "photos", 8)
+    (tmp_path / "masks").mkdir()
+    for view in ball_views(8):
+        write_png(tmp_path / "masks" / f"{view.name}", view.mask.astype(np.uint8) * 255)
+    engine = tmp_path / "engine.py"
+    engine.write_text("def E(*args, **kw):\n    raise RuntimeError('my own bug')\n")
+    words = f"photos {tmp_path}/photos --masks {tmp_path}/masks --depth {engine}:E"
+    more = f"--cameras {cameras} --intrinsics 260,260,79.5,59.5 --voxels 30 --engine serial"
+    assert main([*words.split(), *more.split(), "--out", str(tmp_path / "out")]) == 1
+    errors = [row for row in capsys.readouterr().err.splitlines() if row.startswith("error:")]
+    assert len(errors) == 1
+    assert f"{engine}: line 2, E: RuntimeError: my own bug" in errors[0]
 
 
 def test_masks_of_another_shape_are_refused(tmp_path: Path) -> None:
