@@ -137,6 +137,8 @@ def restore_live(options: LiveOptions) -> LiveReport:
             try:
                 restored = restorer.restore_view(frame.color, frame.depth, images)
             except ToolkitError as error:
+                if error.field == "--max-error":  # so does every frame
+                    raise
                 report.skipped += 1
                 logger.warning("a frame is skipped: %s", error)
                 continue

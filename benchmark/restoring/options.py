@@ -35,7 +35,7 @@ class MethodChoice:
     """where the method answers: everywhere; glass: only where glass or metal is found (by the
     method, or by compactdr), all else stays the sensor's, holes too; glass-and-holes: only where
     compactdr finds glass or metal and doubts the sensor, all else is compactdr's (default:
-    glass-and-holes for swindrnet, else everywhere)"""
+    glass-and-holes for swindrnet as it ships, else everywhere)"""
     max_error_m: Annotated[float, msgspec.Meta(gt=0)] | None = field(
         default=None, metadata={"option": "max-error", "factor": 1000}
     )
@@ -45,12 +45,12 @@ class MethodChoice:
     @property
     def answers(self) -> Where:
         """Where the method answers, as given or by default."""
-        return self.where or default_where(self.method)
+        return self.where or default_where(self.method, self.weights)
 
 
-def default_where(method: str) -> Where:
-    """Where a method answers unless that is stated."""
-    return "glass-and-holes" if method == "swindrnet" else "everywhere"
+def default_where(method: str, weights: Path | str | None = None) -> Where:
+    """Where a method answers unless that is stated; a user's own weights answer everywhere."""
+    return "glass-and-holes" if method == "swindrnet" and weights is None else "everywhere"
 
 
 @dataclass(frozen=True, kw_only=True)

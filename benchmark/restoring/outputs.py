@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from benchmark.evaluation.depth_panels import restored_strip
 from benchmark.evaluation.manifest import circumstances
-from benchmark.methods.registry import weights_digest
+from benchmark.methods.registry import MethodOptions, weights_digest
 from benchmark.metrics.depth.figures import tolerance
 from benchmark.metrics.depth.harm import WRONG
 from benchmark.metrics.depth.holes import right_without_truth
 from benchmark.restoring.options import DepthFormat, MethodChoice, Where
 from benchmark.restoring.recordings import FrameFiles
-from benchmark.restoring.restorer import RestoredFrame, Restorer, settings_of
+from benchmark.restoring.restorer import FINDER, RestoredFrame, Restorer, settings_of
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.depth_maps import unproject_depth
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -41,6 +41,7 @@ class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         weights_sha256: hash of the weight file (128-bit BLAKE2b, as in run.json of `std-bench`).
         size: (width, height) that the method works at; empty for the camera's.
         where: where the method answers; see `Restorer`.
+        finder_sha256: hash of the weights of what looks for glass and metal; empty without.
         max_error_m: expected error from which on depth is left out, metres; None for no limit.
         multi_view: whether the frames are fused (`multi_view`), or restored alone.
         backend: `onnx` or `torch` for networks, empty for methods without weights.
@@ -60,6 +61,7 @@ class RestoreSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     where: Where = "everywhere"
     max_error_m: float | None = None
     multi_view: bool = False
+    finder_sha256: str = ""
 
 
 class RestoreRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -94,7 +96,11 @@ def setup_of(
     backend = "torch" if hasattr(made, "network") else ""
     if type(made).__name__ == "OnnxNetwork":
         backend = "onnx"
+    finder = ""
+    if choice.answers == "glass-and-holes":
+        finder = weights_digest(FINDER, restorer.finder(), MethodOptions(preset="compact"))
     return RestoreSetup(
+        finder_sha256=finder,
         method=choice.method,
         preset=restorer.options.preset,
         settings=settings_of(choice.settings),
@@ -184,7 +190,7 @@ class FramePaths:
             )
         reading = [frame.scale, frame.correction, frame.missing.values, frame.missing.float_unit]
         inputs["reading of the depth"] = digest_of(reading, versioned=False)
-        limits = ("benchmark.restoring.",) if self.more else ()  # of the fusion
+        limits = ("benchmark.restoring.",)
         return Artefact(self.out, f"frame {frame.name}", inputs | dict(self.more), limits=limits)
 
 

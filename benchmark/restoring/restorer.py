@@ -89,6 +89,7 @@ class Restorer:
         self.method = method
         self.options = options
         self.where = where
+        self.backend: Backend = "auto"
         self._finder: protocol.Restorer | None = None
         self.max_error_m = max_error_m
 
@@ -119,7 +120,7 @@ class Restorer:
                 and the toolkit has the method's graph at this size, otherwise torch.
             settings: the method's own settings by name, as text.
             where: where the method answers, see `Restorer`; by default `glass-and-holes` for
-                `swindrnet`, else `everywhere`.
+                `swindrnet` without `weights`, else `everywhere`.
 
         Raises:
             ToolkitError: no such method, setting, device or file, weights of another network, a
@@ -131,7 +132,7 @@ class Restorer:
             device=device,
             settings=dict(settings or {}),
         )
-        where = where or default_where(method)
+        where = where or default_where(method, weights)
         if options.weights is not None and options.weights.suffix == ".onnx":
             return cls(_onnx(method, options, size, backend), options, where=where)
         graph = _graph(method, options, size, backend)
@@ -176,7 +177,9 @@ class Restorer:
             settings=settings_of(choice.settings),
             where=choice.answers,
         )
-        made.max_error_m = choice.max_error_m
+        made.max_error_m, made.backend = choice.max_error_m, backend
+        if made.where == "glass-and-holes":
+            made.finder()  # a file that is damaged is told once, before any frame
         return made
 
     def restore(
@@ -223,30 +226,43 @@ class Restorer:
         size = working_size(self.method, camera.size)
         view = sensor_view(color, sensor, camera, size)
         found = to_full_size(sensor, _answer(self.method, view), color)
-        depth, clear = found.depth, found.clear
-        if self.max_error_m is not None:
-            if found.spread is None:
-                raise ToolkitError(
-                    "the method does not say how far off its answers are",
-                    field="--max-error",
-                    hint=f"--method {FINDER} does",
-                )
-            depth = np.where(found.spread <= self.max_error_m, depth, np.float32(0))
+        depth, clear, spread = found.depth, found.clear, found.spread
+        if self.max_error_m is not None and spread is None:
+            raise ToolkitError(
+                "the method does not say how far off its answers are",
+                field="--max-error",
+                hint=f"--method {FINDER} does",
+            )
         confidence = found.confidence
-        if self.where != "everywhere" and clear is None:
-            self._finder = self._finder or Restorer.load(FINDER).method
-            seen = sensor_view(color, sensor, camera, working_size(self._finder, camera.size))
-            by_finder = to_full_size(sensor, _answer(self._finder, seen), color)
+        if self.where == "glass-and-holes" or (self.where == "glass" and clear is None):
+            finder = self.finder()
+            seen = sensor_view(color, sensor, camera, working_size(finder, camera.size))
+            by_finder = to_full_size(sensor, _answer(finder, seen), color)
             clear, trust = by_finder.clear, by_finder.confidence
             assert clear is not None and trust is not None
             if self.where == "glass-and-holes":
                 answered = (clear >= GLASS) & (trust < WhereSettings.current().doubted)
                 depth = np.where(answered, depth, by_finder.depth)
                 confidence = trust if confidence is None else np.where(answered, confidence, trust)
+                if spread is not None and by_finder.spread is not None:
+                    spread = np.where(answered, spread, by_finder.spread)
+        if self.max_error_m is not None and spread is not None:
+            depth = np.where(spread <= self.max_error_m, depth, np.float32(0))
         if self.where == "glass":
             assert clear is not None
             depth = np.where(clear >= GLASS, depth, sensor)
-        return RestoredFrame(depth, confidence, depth != sensor, found.spread, clear)
+        return RestoredFrame(depth, confidence, depth != sensor, spread, clear)
+
+    def finder(self) -> protocol.Restorer:
+        """The network that looks for glass and metal, on the device of the method.
+
+        Raises:
+            ToolkitError: its file is damaged, or a package is missing.
+        """
+        if self._finder is None:
+            device = self.options.device
+            self._finder = Restorer.load(FINDER, device=device, backend=self.backend).method
+        return self._finder
 
 
 def _answer(method: protocol.Restorer, view: protocol.View) -> protocol.Restored:

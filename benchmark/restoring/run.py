@@ -163,7 +163,8 @@ def restore_recordings(options: RestoreOptions) -> RestoreReport:
         plain = {"points": False, "pictures": False, "max_error_m": None, "multi_view": False}
         of_single = msgspec.structs.replace(setup, **plain)
     weights = restorer.options.weights
-    if options.multi_view or (weights is not None and weights.suffix == ".onnx"):
+    graph = weights is not None and weights.suffix == ".onnx"
+    if options.multi_view or graph or alone.max_error_m is not None:
         # Somebody else's graph may fail, or run on without end: once, before all frames do.
         answer = _try_first(restorer, recordings[0].frames[0])
         if options.multi_view and answer is not None:
