@@ -1,9 +1,11 @@
 """Speed and memory of `std-restore`, reading and writing included.
 
     python perf/restore.py [--frames 60] [--workers 2]
+    python perf/restore.py --by-default
     python perf/restore.py --memory 10000
 
-Made-up frames of 640x360 (colour and depth as PNG) are restored by the compact SwinDRNet. The
+Made-up frames of 640x360 (colour and depth as PNG) are restored by the compact SwinDRNet alone;
+`--by-default`: of 640x480, as `std-restore` does by default. The
 time of a frame is the difference between a run of all frames and a run of a tenth of them, which
 takes off the start. On a machine that is busy with other work, elapsed time says little. Processor
 time is measured with `--engine serial` and one thread; `of 2 cores` is what two free cores do,
@@ -34,7 +36,7 @@ sys.path.insert(0, str(REPOSITORY))
 from benchmark.restoring.onnx_export import made_up_views  # noqa: E402
 from std_toolkit.io.images import write_color, write_depth_png16  # noqa: E402
 
-CAMERA, SMALL = (640, 360), (320, 180)
+CAMERA, SMALL, VGA = (640, 360), (320, 180), (640, 480)
 KINDS = 8
 
 
@@ -60,7 +62,6 @@ def words(folder: Path, out: Path, size: tuple[int, int], *jobs: str) -> list[st
     return [
         *(sys.executable, "-m", "benchmark.cli.restore", str(folder), "--out", str(out)),
         *("--intrinsics", k, "--depth-scale", "0.001", "--quiet", *jobs),
-        *("--where", "everywhere"),
     ]
 
 
@@ -74,17 +75,20 @@ def run(command: list[str]) -> tuple[float, float]:
     return time.monotonic() - since, used
 
 
-def speed(frames: int, workers: int) -> None:
+def speed(frames: int, workers: int, by_default: bool) -> None:
+    size, where = CAMERA, ("--where", "everywhere")
+    if by_default:
+        size, where = VGA, ()
     print(f"{'start [s]':>10} {'frames/s':>9} {'CPU [ms]':>9} {'of 2 cores':>11}")
     with tempfile.TemporaryDirectory() as place:
         root = Path(place)
         few = max(workers, frames // 10)
-        make_frames(root / "all", frames, CAMERA)
-        make_frames(root / "few", few, CAMERA)
+        make_frames(root / "all", frames, size)
+        make_frames(root / "few", few, size)
         found = {}
         for engine in (("--workers", str(workers)), ("--engine", "serial")):
             times = [
-                run(words(root / n, root / f"{n}-{engine[1]}", CAMERA, *engine))
+                run(words(root / n, root / f"{n}-{engine[1]}", size, *engine, *where))
                 for n in ("few", "all")
             ]
             each = [(b - a) / (frames - few) for a, b in zip(*times, strict=True)]
@@ -92,7 +96,8 @@ def speed(frames: int, workers: int) -> None:
         (elapsed, _), start = found[str(workers)]
         (_, processor), _ = found["serial"]
         print(f"{start:10.1f} {1 / elapsed:9.1f} {1e3 * processor:9.1f} {2 / processor:11.1f}")
-        steps(root / "all", root / "steps")
+        if not by_default:
+            steps(root / "all", root / "steps")
 
 
 def steps(folder: Path, out: Path) -> None:
@@ -183,11 +188,12 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--memory", type=int, metavar="N")
+    parser.add_argument("--by-default", action="store_true")
     args = parser.parse_args()
     if args.memory:
         memory(args.memory, args.workers)
     else:
-        speed(args.frames, args.workers)
+        speed(args.frames, args.workers, args.by_default)
 
 
 if __name__ == "__main__":

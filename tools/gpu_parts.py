@@ -21,6 +21,8 @@ def write_parts(folder: Path, packs: Sequence[Path], most_mb: float) -> None:
     frames = PackedFrames(packs)
     order = np.random.default_rng(0).permutation(len(frames))
     folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.glob("part-*.npz")):
+        raise SystemExit(f"error: {folder} holds parts: choose another folder")
     part: list[dict[str, bytes]] = []
     size, number = 0, 0
 
@@ -36,6 +38,7 @@ def write_parts(folder: Path, packs: Sequence[Path], most_mb: float) -> None:
             ends=ends,
             bytes=np.frombuffer(b"".join(blobs), np.uint8),
         )
+        path.with_name(f"{path.name}.done").touch()
         print(f"{path}: {len(part)} frames, {path.stat().st_size / 1e6:.1f} MB")
         part, size, number = [], 0, number + 1
 

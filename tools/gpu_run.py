@@ -7,10 +7,11 @@
 
 `prepare` writes the frames of packs as FOLDER/part-NN.npz, each small enough to be sent by itself.
 `train` waits for the first part and takes in others as they arrive: a part is complete when
-part-NN.npz.done lies beside it. It needs PyTorch, OpenCV, kornia, msgspec, Lightning and this
-repository's code. The arithmetic is bf16. Steps are replayed CUDA graphs, which are compared with
-plain steps first. A thread of its own augments frames on the GPU. A running mean of the weights is
-saved every two minutes. `--try` does the same on the CPU, in float32, with little of everything.
+part-NN.npz.done lies beside it, which is sent after it. It needs PyTorch, OpenCV, kornia, msgspec,
+Lightning and this repository's code. The arithmetic is bf16. Steps are replayed CUDA graphs, which
+are compared with plain steps first. A thread of its own augments frames on the GPU. A running mean
+of the weights is saved every two minutes. `--try` does the same on the CPU, in float32, with little
+of everything.
 
 The rate falls to 0 at the end of the time: how many steps there are is the machine's doing, and two
 runs do not give the same weights. Weights are chosen afterwards by validation frames.
@@ -85,6 +86,7 @@ class Frames:
         self.lock = threading.Lock()  # of the device: nothing else may run while a graph is made
         self._read: set[str] = set()
         self.tensors: dict[str, Tensor] = {}
+        print(f"waiting for {folder}/part-*.npz.done", flush=True)
         while not self.take():
             time.sleep(0.2)
         threading.Thread(target=self._wait, daemon=True).start()

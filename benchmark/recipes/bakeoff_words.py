@@ -16,6 +16,7 @@ REGIONS = {
     "harm_background": "on the background",
     "harm_band": "around glass and metal",
 }
+_MIXED = "swindrnet"  # which std-restore asks only where glass or metal is found
 
 
 def conclusion(verdict: Verdict) -> str:
@@ -38,14 +39,18 @@ def conclusion(verdict: Verdict) -> str:
         return f"Use none of these methods: the sensor's own depth is better, {error}{ahead}."
     cost = f" It takes {verdict.costs[best]}." if best in verdict.costs else ""
     if verdict.kind == "use":
-        return f"Use {best}: {error}{ahead}. {_harmless(verdict, best)}{cost}"
+        alone = " (`std-restore --where everywhere`)" if best == _MIXED else ""
+        return f"Use {best}{alone}: {error}{ahead}. {_harmless(verdict, best)}{cost}"
     whole = verdict.whole
-    assert whole is not None  # the sensor's own depth breaks nothing
     text = (
         f"{best} is the best on {where}, but not for whole frames. Use its depth within masks of "
         f"these objects alone: {error}{ahead}. Of the depth that the sensor had right it breaks "
         f"{_breaks(verdict, best)}.{cost}"
     )
+    if best == _MIXED:
+        text += " `std-restore` does so by default."
+    if whole is None:
+        return f"{text} No other method breaks less."
     if whole.decided and whole.best == RAW:
         return f"{text} No method that breaks less is better than the sensor's own depth."
     if whole.decided:

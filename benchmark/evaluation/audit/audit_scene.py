@@ -13,6 +13,7 @@ from benchmark.data.labelled import FrameImages, LabelledSet
 from benchmark.evaluation.audit.rigid import Group
 from std_toolkit.checks.gates.located import SHIFT, TURN, Located
 from std_toolkit.checks.measure.contours import object_centre
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
 from std_toolkit.geometry.mesh import mesh_diameter, mesh_extents
 from std_toolkit.scene import (
@@ -59,7 +60,7 @@ class AuditScene(Scene):
             for k, f in enumerate(group.frames)
         ]
         has_images = all(f.has_images for f in group.frames)
-        camera = self._read(0).camera if has_images else _NO_CAMERA
+        camera = self._first_camera() if has_images else _NO_CAMERA
         meshes = {}
         models = {}
         for thing in known.values():
@@ -106,6 +107,17 @@ class AuditScene(Scene):
         return Label(
             object=object_id, frame=0, T_cam_obj=T_cam_obj.flat(), T_world_obj=T_world_obj.flat()
         )
+
+    def _first_camera(self) -> Camera:
+        """That of the first frame that can be read."""
+        problem: ToolkitError | None = None
+        for frame_id in range(len(self._indices)):
+            try:
+                return self._read(frame_id).camera
+            except ToolkitError as error:
+                problem = problem or error
+        assert problem is not None  # a group has frames
+        raise problem
 
     def _read(self, frame_id: int) -> FrameImages:
         found = self._images.get(frame_id)

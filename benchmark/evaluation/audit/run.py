@@ -37,6 +37,7 @@ from std_toolkit.geometry.se3 import ROTATION_TOLERANCE
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import run_jobs
+from std_toolkit.log import logger
 from std_toolkit.options import CheckOptions
 from std_toolkit.settings import changed
 
@@ -69,11 +70,15 @@ def run_audit(options: AuditOptions) -> Audit:
     work = [_Scene(name, tuple(_spread(chosen[name], options.frames)), len(chosen[name]))
             for name in names]  # fmt: skip
     read = run_jobs(_Groups(options), work, name="labels", key=str, options=options.jobs)
-    read.raise_if_failed()
+    if not read.results:
+        read.raise_if_failed()
     groups = [item for found in read.results.values() for item in found.groups]
     done = run_jobs(_Judge(options), groups, name="audit", key=str, options=options.jobs)
-    done.raise_if_failed()
-    audit = _assembled(options, list(read.results.values()), done.results)
+    if not done.results:
+        done.raise_if_failed()
+    audit = _assembled(options, list(read.results.values()), done.results, done.failed)
+    for scene, error in read.failed.items():
+        logger.warning("scene %s is left out: %s", scene, error)
     pictures = {n: data for group in done.results.values() for n, data in group.pictures.items()}
     write(options.out, audit, pictures)
     return audit
@@ -179,16 +184,20 @@ def _spread(indices: Sequence[int], most: int) -> list[int]:
 
 
 def _assembled(
-    options: AuditOptions, read: Sequence[_Read], judged: dict[str, JudgedGroup]
+    options: AuditOptions,
+    read: Sequence[_Read],
+    judged: dict[str, JudgedGroup],
+    failed: dict[str, str],
 ) -> Audit:
     scenes = []
     labels: list[AuditedLabel] = []
     found: list[Disagreement] = []
     for one in read:
-        mine = [judged[str(item)] for item in one.groups]
+        mine = [judged[str(item)] for item in one.groups if str(item) in judged]
+        unread = [f"{item}: {failed[str(item)]}" for item in one.groups if str(item) in failed]
         labels += [row for group in mine for row in group.labels]
         found += [row for group in mine for row in group.disagreements]
-        problems = one.scene.problems + [p for group in mine for p in group.problems]
+        problems = one.scene.problems + unread + [p for group in mine for p in group.problems]
         without = sum(group.without_depth for group in mine)
         scenes.append(msgspec.structs.replace(one.scene, problems=problems, without_depth=without))
     audit = Audit(

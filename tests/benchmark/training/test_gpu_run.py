@@ -56,7 +56,6 @@ def test_it_trains_what_arrives(tmp_path, train_elsewhere) -> None:
     run = train_elsewhere
     pack = packed(tmp_path / "pack", write_scenes(tmp_path / "data"), size=(128, 96))
     run("prepare", tmp_path / "parts", "--data", pack)
-    (tmp_path / "parts" / "part-00.npz.done").touch()
     options = ("--parts", tmp_path / "parts", "--weights", SHIPPED, "--out", tmp_path / "out")
     run("train", *options, "--minutes", 0.2, "--try")
     summary = json.loads((tmp_path / "out" / "run.json").read_text())
