@@ -22,6 +22,7 @@ from benchmark.evaluation.known_data import (
     names_of_data,
     published_size,
 )
+from benchmark.evaluation.submission import Submission
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import read_document
@@ -218,6 +219,7 @@ class Result(Generic[M]):
         manifest: its manifest.
         table: its rows.
         data: what the run knows of its data.
+        said: what the author of predictions in a folder says of them, if anything.
         place: name of the data set on pages; set by `find_runs`, for which content counts.
     """
 
@@ -225,7 +227,14 @@ class Result(Generic[M]):
     manifest: M
     table: pd.DataFrame
     data: KnownData = field(default_factory=KnownData, kw_only=True)
+    said: Submission | None = field(default=None, kw_only=True)
     place: str = field(default="", kw_only=True)
+
+    @property
+    def training_data(self) -> str:
+        """What the method was trained on; of predictions as their author says, "" if nobody does."""
+        known = getattr(self.manifest, "training_data", "")
+        return known or (self.said.training_data if self.said else "")
 
     @property
     def named(self) -> str:

@@ -22,7 +22,7 @@ from benchmark.evaluation.results import (
     read_known,
     read_table,
 )
-from benchmark.evaluation.submission import Submission, read_submission
+from benchmark.evaluation.submission import read_submission
 from benchmark.evaluation.tasks.depth_speed import SPEED, Speed, SpeedClass, speed_class
 from benchmark.metrics.depth.figures import NAMES, shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
@@ -161,11 +161,9 @@ class RunResult(Result[Manifest]):
 
     Attributes:
         speed: measured speed; None if not measured.
-        said: what the author of predictions in a folder says of them, if anything.
     """
 
     speed: Speed | None
-    said: Submission | None = None
 
     @property
     def speed_class(self) -> SpeedClass:
@@ -178,11 +176,6 @@ class RunResult(Result[Manifest]):
         setup = self.manifest.setup
         network = self.speed is not None and self.speed.parameters is not None
         return setup.preset if network or setup.weights_sha256 else ""
-
-    @property
-    def training_data(self) -> str:
-        """What the method was trained on; "" if nobody says."""
-        return self.manifest.training_data or (self.said.training_data if self.said else "")
 
     @property
     def title(self) -> str:
@@ -217,7 +210,7 @@ def read_run(folder: Path) -> RunResult:
         manifest,
         table,
         read_document(speed, Speed) if speed.exists() else None,
-        read_submission(folder),
+        said=read_submission(folder),
         data=known,
     )
     return result.at(result.named)

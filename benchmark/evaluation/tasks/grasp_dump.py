@@ -34,7 +34,7 @@ from benchmark.evaluation.results import (
     read_table,
     write_part,
 )
-from benchmark.evaluation.submission import Submission, keep_submission, read_submission
+from benchmark.evaluation.submission import keep_submission, read_submission
 from benchmark.evaluation.values import checked_label
 from benchmark.metrics.grasp.ap import (
     TOP,
@@ -249,13 +249,7 @@ class DumpFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class DumpResult(Result[DumpManifest]):
-    """Results of a dump.
-
-    Attributes:
-        said: what the author of the grasps says of them, if anything.
-    """
-
-    said: Submission | None = None
+    """Results of a dump."""
 
     @property
     def title(self) -> str:

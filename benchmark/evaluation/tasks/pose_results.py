@@ -19,7 +19,7 @@ from benchmark.evaluation.results import (
     read_known,
     read_table,
 )
-from benchmark.evaluation.submission import Submission, read_submission
+from benchmark.evaluation.submission import read_submission
 from benchmark.evaluation.tasks.pose_table import COLUMNS, POSES, frames_of
 from benchmark.metrics.pose import (
     BoxIoU,
@@ -101,13 +101,7 @@ def wanted_protocols(
 
 @dataclass(frozen=True, eq=False)
 class PoseResult(Result[PoseManifest]):
-    """A method on a split with one depth and fit; see `benchmark.evaluation.tasks.pose_table`.
-
-    Attributes:
-        said: what the author of poses in a folder says of them, if anything.
-    """
-
-    said: Submission | None = None
+    """A method on a split with one depth and fit; see `benchmark.evaluation.tasks.pose_table`."""
 
     @property
     def split(self) -> str:
@@ -122,11 +116,6 @@ class PoseResult(Result[PoseManifest]):
     @property
     def title(self) -> str:
         return f"{', '.join(self.name)} on {self.split}"
-
-    @property
-    def training_data(self) -> str:
-        """What the method was trained on; of poses in a folder as their author says."""
-        return self.manifest.training_data or (self.said.training_data if self.said else "")
 
     @property
     def given_truth(self) -> bool:

@@ -141,7 +141,6 @@ def _run_table(results: Sequence[DumpResult]) -> Table:
 
 def _told(result: DumpResult) -> list[str]:
     """What the author of the grasps says of them."""
-    if result.said is None:
-        return []
-    trained = result.said.training_data
-    return [*([f"trained on {trained}"] if trained else []), *filter(None, [result.said.hardware])]
+    hardware = result.said.hardware if result.said else ""
+    trained = f"trained on {result.training_data}" if result.training_data else ""
+    return [text for text in (trained, hardware) if text]
