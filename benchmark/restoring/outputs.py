@@ -97,7 +97,7 @@ def setup_of(
     if type(made).__name__ == "OnnxNetwork":
         backend = "onnx"
     finder = ""
-    if choice.answers == "glass-and-holes":
+    if restorer.where == "glass-and-holes":
         finder = weights_digest(FINDER, restorer.finder(), MethodOptions(preset="compact"))
     return RestoreSetup(
         finder_sha256=finder,
@@ -110,7 +110,7 @@ def setup_of(
         depth_format=depth_format,
         points=points,
         pictures=pictures,
-        where=choice.answers,
+        where=restorer.where,
         max_error_m=choice.max_error_m,
     )
 

@@ -75,6 +75,7 @@ class Restorer:
         where: where the method answers. `everywhere`; on `glass` and metal alone, by its own mask
             or that of compactdr; `glass-and-holes`: where compactdr finds glass or metal and trusts
             the sensor less than `WhereSettings.doubted`, while all else is compactdr's.
+        backend: what runs the network that looks for glass and metal; see `load`.
         max_error_m: depth with a larger expected error is left out; None for no limit.
     """
 
@@ -84,12 +85,13 @@ class Restorer:
         options: MethodOptions,
         *,
         where: Where = "everywhere",
+        backend: Backend = "auto",
         max_error_m: float | None = None,
     ) -> None:
         self.method = method
         self.options = options
         self.where = where
-        self.backend: Backend = "auto"
+        self.backend: Backend = backend
         self._finder: protocol.Restorer | None = None
         self.max_error_m = max_error_m
 
@@ -134,11 +136,13 @@ class Restorer:
         )
         where = where or default_where(method, weights)
         if options.weights is not None and options.weights.suffix == ".onnx":
-            return cls(_onnx(method, options, size, backend), options, where=where)
+            made = _onnx(method, options, size, backend)
+            return cls(made, options, where=where, backend=backend)
         graph = _graph(method, options, size, backend)
         if graph is not None:
             options = MethodOptions(preset=options.preset, weights=graph, device=device)
-            return cls(make_restorer("onnx", options), options, where=where)
+            made = make_restorer("onnx", options)
+            return cls(made, options, where=where, backend=backend)
         if size is not None:
             added = {"input_size": f"{size[0]},{size[1]}"}
             options = MethodOptions(
@@ -160,7 +164,7 @@ class Restorer:
                 value=method,
                 hint="choose another method or another setting of `mask`",
             )
-        return cls(made, options, where=where)
+        return cls(made, options, where=where, backend=backend)
 
     @classmethod
     def of(
@@ -177,7 +181,7 @@ class Restorer:
             settings=settings_of(choice.settings),
             where=choice.answers,
         )
-        made.max_error_m, made.backend = choice.max_error_m, backend
+        made.max_error_m = choice.max_error_m
         if made.where == "glass-and-holes":
             made.finder()  # a file that is damaged is told once, before any frame
         return made
