@@ -26,6 +26,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ from torch import Tensor
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmark.methods.depth.compactdr import PRESETS, CompactDRNetwork
-from benchmark.methods.weights import read_weights, save_weights
+from benchmark.methods.weights import load_weights, save_weights
 from benchmark.training.config import TrainConfig, seed_of
 from benchmark.training.depth.compactdr_training import compactdr_step
 from benchmark.training.depth.depth_catalogue import COMPACTDR_TRAINING
@@ -47,7 +48,10 @@ from tools.gpu_parts import read_part, write_parts
 
 # cuDNN compiles kernels for each size, which takes 20 to 40 s on an H200.
 _SIZES = ("320x180", "320x180", "256x192")
-_RATE, _ENCODER_RATE, _DECAY, _WARMUP = 1.5e-3, 0.2, 0.01, 200
+_OPTIMIZATION = replace(
+    COMPACTDR_TRAINING.optimization, learning_rate=1.5e-3, encoder_rate=0.2, weight_decay=0.01
+)
+_WARMUP = 200
 _LONGEST_GRADIENT = 5.0
 _MEAN = 0.999  # of the running mean of weights
 _SAVED_S = 120.0
@@ -268,7 +272,7 @@ def train(options: argparse.Namespace) -> None:
     begin = time.monotonic()
     torch.manual_seed(0)
     network = CompactDRNetwork(PRESETS["compact"])
-    network.load_state_dict({n: t.float() for n, t in read_weights(options.weights).items()})
+    load_weights(network, options.weights)
     network.to(device).train()
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in its stub
     own = network.state_dict()
@@ -282,14 +286,15 @@ def train(options: argparse.Namespace) -> None:
     saved, number = time.monotonic(), 0
     log = (options.out / "log.txt").open("w")
     step = Step(network, loss, frames)
-    optimizer = _optimizer(network, cuda)
+    optimizer = _OPTIMIZATION.make(network)
+    rates = [group["lr"] for group in optimizer.param_groups]
     for inputs in _batches(augmented):
         share = (time.monotonic() - begin) / (60 * minutes)
         if share >= 1:
             break
-        rate = _RATE * min(1.0, (number + 1) / _WARMUP) * (1 - share)
-        for group in optimizer.param_groups:
-            group["lr"] = rate * group["of_rate"]
+        factor = min(1.0, (number + 1) / _WARMUP) * (1 - share)
+        for group, rate in zip(optimizer.param_groups, rates, strict=True):
+            group["lr"] = factor * rate
         total = step(inputs)
         torch.nn.utils.clip_grad_norm_(step.parameters, _LONGEST_GRADIENT, foreach=True)
         optimizer.step()
@@ -328,14 +333,6 @@ def _batches(augmented: Augmented) -> Iterator[ModelInput]:
         yield made
 
 
-def _optimizer(network: CompactDRNetwork, cuda: bool) -> Any:
-    encoder = list(network.encoder.parameters())
-    own = {id(p) for p in encoder}
-    others = [p for p in network.parameters() if id(p) not in own]
-    groups = [{"params": encoder, "of_rate": _ENCODER_RATE}, {"params": others, "of_rate": 1.0}]
-    return torch.optim.AdamW(groups, lr=_RATE, weight_decay=_DECAY, fused=cuda)
-
-
 def _save(mean: dict[str, Tensor], path: Path) -> None:
     network = CompactDRNetwork(PRESETS["compact"])
     network.load_state_dict({name: tensor.cpu() for name, tensor in mean.items()})
@@ -346,7 +343,7 @@ def check(options: argparse.Namespace) -> None:
     """Frames per second of the network, of one and of sixteen frames."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     network = CompactDRNetwork(PRESETS["compact"])
-    network.load_state_dict({n: t.float() for n, t in read_weights(options.weights).items()})
+    load_weights(network, options.weights)
     network.to(device).eval()
 
     def timed(run: Callable[[], Any], rounds: int) -> float:

@@ -232,7 +232,7 @@ class Result(Generic[M]):
 
     @property
     def training_data(self) -> str:
-        """What the method was trained on; of predictions as their author says, "" if nobody does."""
+        """What the method was trained on, as the run or the author says; "" if nobody does."""
         known = getattr(self.manifest, "training_data", "")
         return known or (self.said.training_data if self.said else "")
 

@@ -3,8 +3,6 @@
 The log survives interruptions.
 """
 
-import csv
-import io
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -14,7 +12,7 @@ from typing import Annotated
 import msgspec
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.atomic import write_csv_atomic
 from std_toolkit.io.documents import digest_file, read_document
 from std_toolkit.io.foreign_files import csv_rows
 from std_toolkit.io.regular import read_text
@@ -136,11 +134,7 @@ class Rows:
     def save(self) -> None:
         """Write all rows, atomically."""
         names = list(dict.fromkeys(name for row in self.rows for name in row))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, names, lineterminator="\n", restval="")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        write_bytes_atomic(self.path, text.getvalue().encode())
+        write_csv_atomic(self.path, names, self.rows)
 
 
 class Speed:

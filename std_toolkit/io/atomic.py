@@ -4,14 +4,16 @@ A file or folder is either the old one or complete. A scene has one writer and o
 time.
 """
 
+import csv
 import fcntl
 import getpass
+import io
 import os
 import re
 import secrets
 import shutil
 import socket
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -66,6 +68,20 @@ def write_bytes_atomic(path: Path | str, data: bytes | memoryview) -> None:
     """Write `data` to `path` atomically; errors as in `atomic_path`."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def write_csv_atomic(
+    path: Path | str, columns: Sequence[str], rows: Iterable[Mapping[str, object]]
+) -> None:
+    """Write a table with a head, atomically; what a row does not have is empty.
+
+    Errors as in `atomic_path`.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n", restval="")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes_atomic(path, text.getvalue().encode())
 
 
 def sweep_temporaries(folder: Path | str) -> list[Path]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -34,7 +32,7 @@ from benchmark.evaluation.manifest import circumstances
 from benchmark.evaluation.query_options import AUDIT_FILE, AuditOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import ROTATION_TOLERANCE
-from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.atomic import write_bytes_atomic, write_csv_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import run_jobs
 from std_toolkit.log import logger
@@ -224,12 +222,8 @@ def write(folder: Path, audit: Audit, pictures: Mapping[str, bytes]) -> None:
         FRAMES_CSV: (Disagreement, audit.disagreements),
     }
     for name, (kind, rows) in tables.items():
-        text = io.StringIO()
         columns = [c for f in msgspec.structs.fields(kind) for c in _columns(f.name)]
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(map(flat, rows))
-        write_bytes_atomic(folder / name, text.getvalue().encode())
+        write_csv_atomic(folder / name, columns, map(flat, rows))
     write_document(folder / AUDIT_FILE, audit)
 
 

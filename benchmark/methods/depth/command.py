@@ -5,8 +5,6 @@ of `frames.csv`, the list that `std-bench infer-list` writes too, and writes dep
 of each row: one script serves both.
 """
 
-import csv
-import io
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ from benchmark.methods.registry import MethodOptions
 from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
-from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.io.atomic import write_csv_atomic
 from std_toolkit.io.images import write_png
 from std_toolkit.plugins import configured
 
@@ -81,11 +79,7 @@ def write_frame_list(path: Path, rows: Sequence[dict[str, str]]) -> None:
     Raises:
         ToolkitError: the file cannot be written.
     """
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_bytes_atomic(path, text.getvalue().encode())
+    write_csv_atomic(path, COLUMNS, rows)
 
 
 class CommandRestorer:
