@@ -53,6 +53,8 @@ ROWS: dict[str, dict[str, tuple[str, int]]] = {
         "pose": (f"--method gt-nocs {SPLIT} --out bp --engine serial", 0),
         "grasp": ("--meshes rec --out bg --engine serial", 1),
         "bop": ("--data rec --results pose.txt", 1),
+        "audit": ("bop --out audit --engine serial", 0),
+        "bakeoff": ("a --out bake --no-at-hand --no-speed --limit 1", 0),
         "list": ("methods", 0),
         "check-data": ("data --split dreds-catknown-test", 0),
         "infer-list": (f"{SPLIT} --out il --engine serial", 0),

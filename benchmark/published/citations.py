@@ -31,6 +31,10 @@ KEYS: dict[str, tuple[str, ...]] = {
     "stereo-dreds": ("dai2022dreds",),
     "compactdr": ("tan2019efficientnet",),
     "two-branch": ("dai2022dreds", "qi2017pointnetpp"),
+    "prompt-depth-anything": ("lin2025promptda",),
+    "depth-anything": ("yang2024depthanything",),
+    "depth-pro": ("bochkovskii2025depthpro",),
+    "zoedepth": ("bhat2023zoedepth",),
     # Pose and grasp methods.
     "nocs": ("wang2019nocs",),
     "crop-nocs": ("wang2019nocs",),
