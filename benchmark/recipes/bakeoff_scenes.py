@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -214,11 +215,13 @@ def _stage(source: _Recording, chosen: Sequence[Frame], to: Path) -> tuple[int, 
         for path in files:
             if path.is_file():
                 _copy(path, to / path.relative_to(scene.root))
-    if (scene.root / "poses.json").is_file():
-        _copy(scene.root / "poses.json", to / "poses.json")
-    if (to / "scene.json").exists():
-        (to / "scene.json").unlink()  # the same command again, perhaps of a changed recording
-    Scene.create(to, scene.info, Frames(frames=list(chosen)), source.objects)
+    for name in ("scene.json", "poses.json"):  # the same command again, of a changed recording
+        (to / name).unlink(missing_ok=True)
+    copy = Scene.create(to, scene.info, Frames(frames=list(chosen)), source.objects)
+    if scene.poses is not None:
+        of = {frame.id for frame in chosen}
+        kept = [pose for pose in scene.poses.frames if pose.frame in of]
+        copy.save_poses(msgspec.structs.replace(scene.poses, frames=kept))
     logger.info("%s: %d frames", scene.root, len(chosen))
     return known, unknown
 

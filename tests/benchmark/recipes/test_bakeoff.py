@@ -64,6 +64,22 @@ def test_the_better_method_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "not for other objects" in page
 
 
+def test_fewer_frames_than_the_recording_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    [rec] = without_vendor(tmp_path)
+    words = ["bakeoff", str(rec), "--out", str(tmp_path / "out"), "--json", "--limit", "8"]
+    assert main([*words, *words_of("Poor", "Good")]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["method"] == own("Good")
+    assert found["rankings"]["transparent"]["units"] == 8
+    scored = Scene.open(tmp_path / "out" / "scenes" / rec.name)
+    poses = Scene.open(rec).poses
+    assert poses is not None and scored.poses is not None
+    ids = {frame.id for frame in scored.frames}
+    assert scored.poses.frames == [pose for pose in poses.frames if pose.frame in ids]
+
+
 @pytest.mark.parametrize(("first", "second"), [("Good", "Near"), ("Random", "OtherRandom")])
 def test_equal_methods_are_not_decided(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], first: str, second: str
