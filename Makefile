@@ -34,8 +34,8 @@ demo: env
 	@$(BIN)/python -m sensors.synthetic demo "$(DEMO)"
 	@echo "== which method restores the depth of glass and metal?"
 	@rm -rf "$(DEMO)/benchmark"  # scored anew: the recording may have changed
-	@$(BIN)/std-bench --method raw nearest telea colorization planes swindrnet nlspn dfnet \
-		--preset compact --data "$(DEMO)" --split scenes --out "$(DEMO)/benchmark" --no-speed >/dev/null
+	@$(BIN)/std-bench --method raw nearest telea colorization planes swindrnet nlspn dfnet compactdr \
+		std-restore --preset compact --data "$(DEMO)" --split scenes --out "$(DEMO)/benchmark" --no-speed >/dev/null
 	@$(BIN)/std-report "$(DEMO)/benchmark"
 
 test: env test-programs

@@ -149,6 +149,7 @@ restorers: MethodRegistry[Restorer] = MethodRegistry(
         "cleargrasp": "benchmark.methods.depth.cleargrasp.cleargrasp:ClearGrasp",
         "dfnet": "benchmark.methods.depth.dfnet:DFNet",
         "two-branch": "benchmark.methods.depth.two_branch:TwoBranch",
+        "std-restore": "benchmark.restoring.as_method:ByDefault",
         "onnx": "benchmark.methods.depth.onnx_network:OnnxNetwork",
         "prompt-depth-anything": "benchmark.methods.depth.snapshot:PromptDepthAnything",
         "depth-anything": "benchmark.methods.depth.snapshot:DepthAnything",
@@ -329,8 +330,8 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
         options: options that the method was created with.
 
     Returns:
-        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); of a folder, of its documents and
-        safetensors with their names; empty without weights.
+        128-bit BLAKE2b hash in hexadecimal (see `digest_file`); of several files and of a folder
+        (its documents and safetensors), of all with their names; empty without weights.
     """
     if method is None:
         return ""
@@ -338,6 +339,8 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
     weights = getattr(method, "weights", None) or options.weights
     if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
         weights = shipped
+    if isinstance(weights, tuple):  # of the networks that a method joins
+        return digest_of(digest_files(weights[0].parent, weights), versioned=False)
     if not isinstance(weights, Path):
         return ""
     if weights.is_dir():

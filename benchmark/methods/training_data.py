@@ -48,8 +48,12 @@ def training_data(name: str, method: object, options: MethodOptions) -> str:
         return ""
     if weights is None:
         weights = shipped_file(name, options.preset)
-    if not isinstance(weights, Path) or not weights.is_file():
-        return ""
+    files = weights if isinstance(weights, tuple) else (weights,)  # a method may join networks
+    said = dict.fromkeys(_said(f) for f in files if isinstance(f, Path) and f.is_file())
+    return "; ".join(filter(None, said))
+
+
+def _said(weights: Path) -> str:
     try:
         return _of_run(weights.parent / RUN_NOTE) or _of_card(weights.with_suffix(".md"))
     except ToolkitError:  # a courtesy: the weights themselves were read

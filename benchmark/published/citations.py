@@ -30,6 +30,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "stereo-sgbm": ("hirschmueller2008sgm",),
     "stereo-dreds": ("dai2022dreds",),
     "compactdr": ("tan2019efficientnet",),
+    "std-restore": ("dai2022dreds", "tan2019efficientnet"),
     "two-branch": ("dai2022dreds", "qi2017pointnetpp"),
     "prompt-depth-anything": ("lin2025promptda",),
     "depth-anything": ("yang2024depthanything",),

@@ -75,7 +75,7 @@ class Bakeoff:
 def methods_at_hand() -> list[str]:
     """Return the methods that need nothing of the user: filling, and networks with weights."""
     networks = [name for name in restorers.names() if shipped_file(name, COMPACT).is_file()]
-    return [*_FILLING, *networks]
+    return [*_FILLING, *networks, "std-restore"]
 
 
 def bakeoff(options: BakeoffOptions) -> Bakeoff:

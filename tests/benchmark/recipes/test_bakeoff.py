@@ -245,7 +245,8 @@ def test_the_methods_at_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert main(["bakeoff", str(rec), "--out", str(tmp_path / "out"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     names = {"raw", *methods_at_hand()}
-    assert {"nearest", "colorization", "swindrnet", "nlspn", "dfnet", "compactdr"} < names
+    networks = {"swindrnet", "nlspn", "dfnet", "compactdr", "std-restore"}
+    assert {"nearest", "colorization", *networks} < names
     assert set(found["rankings"]["transparent"]["errors"]) == names == set(found["costs"])
     assert all(cost["seconds"]["mean"] > 0 for cost in found["costs"].values())
     assert "processor time a frame of 640x480" in (tmp_path / "out" / "bakeoff.html").read_text()

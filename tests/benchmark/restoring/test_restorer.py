@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +15,14 @@ import benchmark
 from benchmark import Restorer
 from benchmark.cli.bench import main as bench
 from benchmark.cli.restore import main as restore
-from benchmark.methods.protocol import Restored
+from benchmark.methods.protocol import Restored, View
+from benchmark.methods.registry import MethodOptions, make_restorer, weights_digest
+from benchmark.methods.training_data import training_data
 from benchmark.restoring.onnx_export import made_up_views
 from benchmark.restoring.options import MethodChoice, RestoreOptions
 from std_toolkit.cli.command_options import UsageError, parse_options, words_of
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.camera import Camera
 
 K = np.array([[96.0, 0, 47.5], [0, 96, 35.5], [0, 0, 1]])
 COLOR = made_up_views(SIZE)[0].color
@@ -135,7 +140,9 @@ def test_missing_packages_are_named_with_the_command_to_install_them(monkeypatch
 
 SURE = """
 import numpy as np
-from benchmark.methods.protocol import Restored
+from benchmark.methods.protocol import Restored, View
+from benchmark.methods.registry import MethodOptions, make_restorer, weights_digest
+from benchmark.methods.training_data import training_data
 
 
 class Sure:
@@ -210,6 +217,41 @@ def test_it_is_the_default_of_swindrnet_alone():
     assert Restorer.load("nearest").where == "everywhere"
     assert MethodChoice(method="compactdr").answers == "everywhere"
     assert MethodChoice(where="everywhere").answers == "everywhere"
+
+
+def test_the_benchmark_scores_what_is_written_by_default():
+    view = View(COLOR, sensor_depth(), Camera(*SIZE, 96, 96, 47.5, 35.5))
+    method = make_restorer("std-restore")
+    found, empty = method.restore([view, replace(view, depth=0 * view.depth)])
+    written = Restorer.of(MethodChoice()).restore(COLOR, sensor_depth(), K)
+    assert np.array_equal(found.depth, written.depth) and not empty.depth.any()
+    assert np.array_equal(found.confidence, written.confidence)
+    alone = MethodOptions(settings={"where": "everywhere"})
+    names = [
+        {path.name for path in made.weights}
+        for made in (method, make_restorer("std-restore", alone))
+    ]
+    assert names[0] == {"swindrnet-compact.safetensors", "compactdr-compact.safetensors"}
+    assert names[1] == {"swindrnet-compact.safetensors"}
+    digests = [weights_digest("std-restore", make_restorer("std-restore", o), o) for o in (
+        MethodOptions(), alone, MethodOptions(settings={"where": "glass"})
+    )]  # fmt: skip
+    assert digests[0] == digests[2] != digests[1]
+    assert "; " in training_data("std-restore", method, MethodOptions())
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (MethodOptions(weights=Path("x.safetensors")), "--weights: std-restore runs as it ships"),
+        (MethodOptions(precision="bf16"), "runs in fp32"),
+        (MethodOptions(settings={"where": "nowhere"}), "nowhere"),
+    ],
+)
+def test_the_benchmark_runs_it_as_it_ships(options, told):
+    with pytest.raises(ToolkitError) as caught:
+        make_restorer("std-restore", options)
+    assert told in str(caught.value)
 
 
 @pytest.mark.parametrize("given", ["10", "10mm", "1cm", "0.01m"])
