@@ -39,8 +39,8 @@ class MethodChoice:
     max_error_m: Annotated[float, msgspec.Meta(gt=0)] | None = field(
         default=None, metadata={"option": "max-error", "factor": 1000}
     )
-    """leave out (0) where the expected error is larger, millimetres; for methods with a spread,
-    such as compactdr"""
+    """leave out (0) where the expected error is larger, millimetres; by default and of methods with
+    a spread, such as compactdr"""
 
     @property
     def answers(self) -> Where:
@@ -76,8 +76,9 @@ class RestoreOptions:
     the graph, otherwise torch)"""
     images: ImageOptions = field(default_factory=ImageOptions)
     multi_view: bool = False
-    """fuse glass and metal of all frames of scenes with camera poses (`std-curate poses`); for
-    methods with a spread and a mask, such as compactdr; single/ has the frames restored alone"""
+    """fuse glass and metal of all frames of scenes with camera poses (`std-curate poses`); by
+    default and of methods with a spread and a mask, such as compactdr; single/ has the frames
+    restored alone"""
     depth_format: DepthFormat = field(default="same", metadata={"option": "format"})
     """of restored depth: 16-bit PNG with the recording's unit, EXR in metres, or the same as the
     recording"""

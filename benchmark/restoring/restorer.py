@@ -231,12 +231,6 @@ class Restorer:
         view = sensor_view(color, sensor, camera, size)
         found = to_full_size(sensor, _answer(self.method, view), color)
         depth, clear, spread = found.depth, found.clear, found.spread
-        if self.max_error_m is not None and spread is None:
-            raise ToolkitError(
-                "the method does not say how far off its answers are",
-                field="--max-error",
-                hint=f"--method {FINDER} does",
-            )
         confidence = found.confidence
         if self.where == "glass-and-holes" or (self.where == "glass" and clear is None):
             finder = self.finder()
@@ -246,10 +240,21 @@ class Restorer:
             assert clear is not None and trust is not None
             if self.where == "glass-and-holes":
                 answered = (clear >= GLASS) & (trust < WhereSettings.current().doubted)
-                depth = np.where(answered, depth, by_finder.depth)
                 confidence = trust if confidence is None else np.where(answered, confidence, trust)
-                if spread is not None and by_finder.spread is not None:
-                    spread = np.where(answered, spread, by_finder.spread)
+                if by_finder.spread is not None:
+                    # Of a network that does not say how far off it is, the other's word is taken,
+                    # and how far the two are apart.
+                    apart = np.hypot(by_finder.spread, depth - by_finder.depth)
+                    spread = np.where(
+                        answered, apart if spread is None else spread, by_finder.spread
+                    )
+                depth = np.where(answered, depth, by_finder.depth)
+        if self.max_error_m is not None and spread is None:
+            raise ToolkitError(
+                "the method does not say how far off its answers are",
+                field="--max-error",
+                hint=f"the default and --method {FINDER} do",
+            )
         if self.max_error_m is not None and spread is not None:
             depth = np.where(spread <= self.max_error_m, depth, np.float32(0))
         if self.where == "glass":

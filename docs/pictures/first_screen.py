@@ -3,7 +3,8 @@
 python docs/pictures/first_screen.py FOLDER_OF_CLEARGRASP_REAL_VAL
 
 Colour with the contours of glass, raw depth, and depth restored as `std-restore` does by default.
-Prints the error on glass and the harm elsewhere for the caption.
+Prints the error on glass and the harm elsewhere for the caption, and the share of errors within
+their spread.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ OTHERS = (
 def capture(folder: Path, name: str, restorer: Restorer) -> tuple[NDArray[np.uint8], list[float]]:
     """The three panels of a capture (h, w, 3) RGB; figures on glass, and of harm elsewhere.
 
-    The figures: RMSE in mm, share of pixels within 5 % in %, harm in %.
+    The figures: RMSE in mm, shares of pixels within 5 %, of harm, of errors within one and two
+    spreads in %.
     """
     color = read_color(folder / f"{name}-transparent-rgb-img.jpg")
     size = (color.shape[1], color.shape[0])
@@ -59,6 +61,8 @@ def capture(folder: Path, name: str, restorer: Restorer) -> tuple[NDArray[np.uin
         100 * float((error < 0.05 * true[known]).mean()),
         100 * harm(found.depth, sensor, true, ~glass),
     ]
+    if found.spread is not None:
+        figures += [100 * float((error < n * found.spread[known]).mean()) for n in (1, 2)]
     outlines, _ = cv2.findContours(glass.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     drawn = cv2.drawContours(color.copy(), outlines, -1, (255, 225, 40), 4, cv2.LINE_AA)
     scale = range_of(found.depth)
@@ -90,5 +94,7 @@ if __name__ == "__main__":
         _, found = picture(Path(sys.argv[1]), choice)
         told[f"{choice.method}, mean"] = np.mean([*found.values()], axis=0).tolist()
     told["by default, mean"] = np.mean([told[name] for name in CAPTURES], axis=0).tolist()
-    for name, (rmse, within, harmed) in told.items():
+    for name, (rmse, within, harmed, *spread) in told.items():
         print(f"{name}: {rmse:.1f} mm, {within:.1f} % within 5 %; {harmed:.2f} % harm elsewhere")
+        if spread:
+            print("  {:.0f} % within one spread, {:.0f} % within two".format(*spread))

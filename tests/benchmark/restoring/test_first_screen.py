@@ -29,9 +29,9 @@ def test_the_first_screen_is_what_is_restored(test_data, monkeypatch) -> None:
     with RESULTS.open() as file:
         held = {row["name"]: float(row["value"]) for row in csv.DictReader(file)}
     for name in first_screen.SHOWN:
-        rmse, _, harmed = figures[name]
+        rmse, _, harmed, *_ = figures[name]
         assert rmse == pytest.approx(held[f"restore.{name[-3:]}.rmse_mm"], abs=0.5)
         assert harmed == pytest.approx(held[f"restore.{name[-3:]}.harm"], abs=0.05)
-    for place, name in enumerate(("rmse_mm", "d105", "harm")):
+    for place, name in enumerate(("rmse_mm", "d105", "harm", "spread1", "spread2")):
         mean = np.mean([values[place] for values in figures.values()])
         assert mean == pytest.approx(held[f"restore.real.{name}"], abs=0.5)

@@ -175,6 +175,17 @@ def test_what_the_method_cannot_vouch_for_is_left_out(tmp_path):
         nearest.restore(COLOR, sensor_depth(), K)
 
 
+def test_by_default_the_two_networks_tell_how_far_they_are_apart():
+    found = Restorer.of(MethodChoice()).restore(COLOR, sensor_depth(), K)
+    finder = Restorer.of(MethodChoice(method="compactdr")).restore(COLOR, sensor_depth(), K)
+    swindrnet = found.depth != finder.depth
+    apart = np.hypot(finder.spread, found.depth - finder.depth)
+    assert swindrnet.any() and np.array_equal(found.spread[~swindrnet], finder.spread[~swindrnet])
+    assert found.spread[swindrnet] == pytest.approx(apart[swindrnet], abs=1e-6)
+    limited = Restorer.of(MethodChoice(max_error_m=0.02)).restore(COLOR, sensor_depth(), K)
+    assert np.array_equal(limited.depth == 0, (found.spread > 0.02) | (found.depth == 0))
+
+
 def test_where_there_is_no_glass_the_sensor_stays(tmp_path):
     (tmp_path / "sure.py").write_text(SURE)
     choice = MethodChoice(method=f"{tmp_path}/sure.py:Sure", where="glass")
