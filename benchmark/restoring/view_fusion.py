@@ -84,7 +84,8 @@ class ViewFusion:
             self._surfaces = [_surface(view, self.hull) for view in used]
 
     def fuse(self, view: PosedView) -> Fused:
-        """The depth of a view: only pixels of its mask that the hull covers change.
+        """The depth of a view: only pixels of its mask that the hull covers change, and of these
+        none whose depth is the sensor's own.
 
         Args:
             view: any view of the scene; others that have its name do not count twice.
@@ -95,8 +96,11 @@ class ViewFusion:
         own = _surface(view, self.hull)
         answer, variance = self._mean(own)
         z, variance = _with_hull(own, answer, variance, self.hull)
-        depth[own.pixels], spread[own.pixels] = z, np.sqrt(variance)
-        return Fused(depth, spread, own.pixels)
+        # A mask may be wrong about an opaque object, and the hull about what stands beside glass.
+        changed = own.pixels & ~view.kept
+        moved = ~view.kept[own.pixels]
+        depth[changed], spread[changed] = z[moved], np.sqrt(variance[moved])
+        return Fused(depth, spread, changed)
 
     def _mean(self, own: _Surface) -> tuple[Floats, Floats]:
         """The mean of the answers of all views at the pixels of one, and its variance."""
