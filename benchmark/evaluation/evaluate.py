@@ -18,7 +18,8 @@ from benchmark.evaluation.config import (
     NetworkConfig,
     PoseConfig,
 )
-from benchmark.evaluation.engine import Campaign, Task, run_all
+from benchmark.evaluation.engine import Campaign, run_all
+from benchmark.evaluation.task_run import Task
 from benchmark.evaluation.values import OBJECT, checked_label
 from benchmark.methods.registry import METHODS
 from std_toolkit.errors import ToolkitError

@@ -24,8 +24,8 @@ from benchmark.data.splits import (
     names_digest,
     open_split,
 )
-from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
+from benchmark.evaluation.task_run import TaskRun
 from benchmark.evaluation.values import checked_label, data_of, plain_label
 from benchmark.methods.protocol import Restored, Restorer, View
 from benchmark.methods.registry import MethodOptions, restorers, weights_digest

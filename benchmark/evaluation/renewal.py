@@ -1,7 +1,7 @@
 """What changed under the results of a run since they were made, and must be made again."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -16,17 +16,15 @@ from benchmark.data.identity import (
 )
 from benchmark.evaluation.known_data import CONTENT_FILE, DATA_FILE, DataRecord
 from benchmark.evaluation.results import check_columns, drop_frames, read_table
+from benchmark.evaluation.task_run import TaskRun
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.log import logger
 
-if TYPE_CHECKING:
-    from benchmark.evaluation.engine import TaskRun
-
 CACHE = ".digests.json"
 
 
-def renew(run: "TaskRun[Any, Any]", data: Any) -> "Renewal":
+def renew(run: TaskRun[Any, Any], data: Any) -> "Renewal":
     """Compare what a run reads with what its results were made of.
 
     Args:
@@ -65,7 +63,7 @@ class Renewal:
     content: pd.DataFrame
     changed: pd.DataFrame | None
 
-    def apply(self, run: "TaskRun[Any, Any]", data: Any, table: pd.DataFrame) -> pd.DataFrame:
+    def apply(self, run: TaskRun[Any, Any], data: Any, table: pd.DataFrame) -> pd.DataFrame:
         """Drop the rows of frames that changed, and write what the run knows of its data.
 
         Args:

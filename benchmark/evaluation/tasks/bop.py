@@ -13,7 +13,6 @@ import numpy as np
 
 from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import BopConfig
-from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import Base, FramesRun
 from benchmark.evaluation.manifest import (
     BOP_FILE,
@@ -23,6 +22,7 @@ from benchmark.evaluation.manifest import (
     circumstances,
 )
 from benchmark.evaluation.results import ERROR, INDEX, read_table
+from benchmark.evaluation.task_run import Task
 from benchmark.evaluation.tasks.bop_program import run_on
 from benchmark.evaluation.tasks.bop_results import (
     ERRORS,

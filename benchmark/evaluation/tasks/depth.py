@@ -21,17 +21,14 @@ from benchmark.data.predictions import (
 )
 from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import DepthConfig, options_by_method
-from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
     Base,
     Batch,
     FrameRun,
     frame_options,
-    load_each,
     restore_views,
 )
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
-from benchmark.evaluation.probes import ALWAYS, answer_figures, probe_color, probe_holes
 from benchmark.evaluation.results import (
     ERROR,
     FRAME,
@@ -39,16 +36,16 @@ from benchmark.evaluation.results import (
     NOT_FINITE,
     SCENE,
     TABLE,
-    UNREAD,
 )
 from benchmark.evaluation.submission import keep_submission, read_submission
+from benchmark.evaluation.task_run import Task
 from benchmark.evaluation.tasks import depth_results
 from benchmark.evaluation.tasks.depth_clips import (
     clips_left,
     save_depth,
     score_clip,
-    with_spread,
 )
+from benchmark.evaluation.tasks.depth_seen import figures_seen, rows_unanswered
 from benchmark.evaluation.values import check_folders, folders_by_name
 from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
@@ -56,7 +53,7 @@ from benchmark.methods.protocol import Restored, Restorer
 from benchmark.methods.registry import make_restorer, restorers
 from benchmark.methods.training_data import training_data
 from benchmark.metrics.protocols.alignment import Line
-from benchmark.metrics.protocols.protocol import Protocol, get_protocol
+from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
@@ -254,11 +251,11 @@ class Run(FrameRun[Restorer]):
         """Return the rows of frames, given the answers; `line` aligns those of a clip."""
         protocol = get_protocol(self.protocol)
         there = {b[INDEX]: frame for b, frame in frames if not isinstance(frame, str)}
-        seen = self._seen(data, methods, there, answers)
+        seen = figures_seen(data, self.chosen(data), methods, there, answers, protocol, self.probes)
         rows: list[dict[str, Any]] = []
         for base, frame in frames:
             if isinstance(frame, str):
-                found = _unanswered(data, base[INDEX], methods, frame, protocol)
+                found = rows_unanswered(data, base[INDEX], methods, frame, protocol)
                 rows += [base | {ERROR: frame} | row for row in found]
                 continue
             answer = answers[base[INDEX]]
@@ -282,41 +279,6 @@ class Run(FrameRun[Restorer]):
         if get_protocol(self.protocol).align != "clip":
             return super().work(data, methods, item)
         return score_clip(self, data, methods, item)
-
-    def _seen(
-        self,
-        data: splits.DepthSource,
-        restorer: Restorer,
-        frames: Mapping[int, DepthFrame],
-        answers: Mapping[int, Restored | str],
-    ) -> dict[int, dict[str, float]]:
-        """Figures of `probes` by frame."""
-        found: dict[int, dict[str, float]] = {}
-        protocol, chosen = get_protocol(self.protocol), self.chosen(data)
-        if protocol.align:  # what a user sees is metric
-            return {index: dict.fromkeys(ALWAYS, np.nan) for index in frames}
-        for index, frame in frames.items():
-            # Saved depth took the place of the sensor's, which it may have harmed.
-            sensor, answer = frame.depth_raw, answers[index]
-            if isinstance(data, WithSavedDepth):
-                sensor = data.source.load(index).depth_raw
-                answer = with_spread(answer, data.answers, splits.FrameKey(frame.scene, frame.name))
-            found[index] = answer_figures(restorer, frame, sensor, answer, protocol)
-
-        def other(index: int) -> NDArray[np.uint8] | None:
-            """Colour of the frame half a split away."""
-            place = (chosen.index(index) + len(chosen) // 2) % len(chosen)
-            return None if chosen[place] == index else data.load(chosen[place]).color
-
-        more = []
-        if "holes" in self.probes:
-            more.append(probe_holes(restorer, frames, protocol))
-        if "color" in self.probes:
-            more.append(probe_color(restorer, frames, protocol, answers, other))
-        for figures in more:
-            for index, of_frame in figures.items():
-                found[index] |= of_frame
-        return found
 
     def after(self) -> None:
         """Measure speed and save pictures of a few frames, unless they exist; keep what the author
@@ -396,22 +358,6 @@ TASK = Task(
     table=lambda results, _: depth_results.results_table(results),
     records=lambda results, _: depth_results.depth_records(results),
 )
-
-
-def _unanswered(
-    data: splits.DepthSource, index: int, restorer: Restorer, error: str, protocol: Protocol
-) -> list[dict[str, Any]]:
-    """Rows of a frame that could not be read: if only its saved depth is at fault, those of an
-    empty prediction."""
-    if not isinstance(data, WithSavedDepth):
-        return [UNREAD]
-    frame = load_each(data.source.load, [index])[0]
-    if isinstance(frame, str):
-        return [UNREAD]
-    rows = [{NOT_FINITE: 0} | row.as_dict() for row in score_frame(None, frame, protocol)]
-    if not protocol.align:
-        rows[0] |= answer_figures(restorer, frame, frame.depth_raw, error, protocol)
-    return rows
 
 
 def _not_finite(depth: NDArray[np.float32] | None) -> int:

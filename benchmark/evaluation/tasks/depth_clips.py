@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 from benchmark.data import splits
 from benchmark.data.frame import DepthFrame, resize_nearest
@@ -15,13 +15,29 @@ from benchmark.data.splits import FrameKey
 from benchmark.evaluation.frames import Base, Batch, batches_of, load_each, read_ahead
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.methods.protocol import Restored, Restorer
-from benchmark.metrics.protocols.alignment import PairSums
+from benchmark.metrics.protocols.alignment import Line, PairSums
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.protocols.score import pair_sums
 from std_toolkit.io.exr import write_exr
 
-if TYPE_CHECKING:
-    from benchmark.evaluation.tasks.depth import Run
+Frames = Sequence[tuple[Base, DepthFrame | str]]
+Answers = Mapping[int, Restored | str]
+
+
+class ScoresFrames(Protocol):
+    """What `score_clip` asks of a run of the depth task."""
+
+    @property
+    def protocol(self) -> str: ...
+    @property
+    def folder(self) -> Path: ...
+    def load(self, data: splits.DepthSource, index: int) -> DepthFrame: ...
+    def restored(self, restorer: Restorer, frames: Frames) -> dict[int, Restored | str]: ...
+    def keep(self, data: splits.DepthSource, frames: Frames, answers: Answers) -> None: ...
+    def scored(
+        self, data: splits.DepthSource, methods: Restorer, frames: Frames, answers: Answers,
+        line: Line | None = None,
+    ) -> list[dict[str, Any]]: ...  # fmt: skip
 
 
 def clips_left(
@@ -36,7 +52,7 @@ def clips_left(
 
 
 def score_clip(
-    run: Run, data: splits.DepthSource, restorer: Restorer, item: Sequence[Batch]
+    run: ScoresFrames, data: splits.DepthSource, restorer: Restorer, item: Sequence[Batch]
 ) -> int:
     """Write the rows of a scene; see `TaskRun.work`.
 

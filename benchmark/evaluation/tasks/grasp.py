@@ -15,9 +15,9 @@ from benchmark.data.predictions import SUFFIXES
 from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import GraspConfig, options_by_method
 from benchmark.evaluation.depth_choice import DepthChoice, depth_choice
-from benchmark.evaluation.engine import Task, TaskRun
 from benchmark.evaluation.manifest import GRASP_MANIFEST, GraspManifest, GraspSetup, circumstances
 from benchmark.evaluation.results import write_part
+from benchmark.evaluation.task_run import Task, TaskRun
 from benchmark.evaluation.tasks import grasp_results
 from benchmark.evaluation.tasks.grasp_dump import DumpRun, dump_records, dump_table, plan_dump
 from benchmark.evaluation.tasks.grasp_inputs import FLAT_PATCHES, ORACLE, SUCTION, Methods

@@ -19,7 +19,6 @@ import numpy as np
 from benchmark.data.identity import SAVED_GRASPS
 from benchmark.data.splits import FrameKey, Inputs
 from benchmark.evaluation.config import GraspConfig
-from benchmark.evaluation.engine import TaskRun
 from benchmark.evaluation.frames import error_line
 from benchmark.evaluation.manifest import DUMP_MANIFEST, DumpManifest, DumpSetup, circumstances
 from benchmark.evaluation.results import (
@@ -35,6 +34,7 @@ from benchmark.evaluation.results import (
     write_part,
 )
 from benchmark.evaluation.submission import keep_submission, read_submission
+from benchmark.evaluation.task_run import TaskRun
 from benchmark.evaluation.values import checked_label
 from benchmark.metrics.grasp.ap import (
     TOP,

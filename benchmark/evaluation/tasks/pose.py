@@ -21,7 +21,6 @@ from benchmark.evaluation.depth_choice import (
     DepthProvider,
     depth_choice,
 )
-from benchmark.evaluation.engine import Task
 from benchmark.evaluation.frames import (
     Base,
     FrameRun,
@@ -33,6 +32,7 @@ from benchmark.evaluation.manifest import POSE_MANIFEST, PoseManifest, PoseSetup
 from benchmark.evaluation.pose_predictions import PoseFolder, check_poses
 from benchmark.evaluation.results import ERROR, INDEX
 from benchmark.evaluation.submission import keep_submission, read_submission
+from benchmark.evaluation.task_run import Task
 from benchmark.evaluation.tasks import pose_results, pose_table
 from benchmark.evaluation.values import check_folders, checked_label, folders_by_name
 from benchmark.methods.depth.full_size import view_of

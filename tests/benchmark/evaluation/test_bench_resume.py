@@ -12,7 +12,7 @@ import msgspec
 import pandas as pd
 import pytest
 
-from benchmark.evaluation.engine import Campaign, TaskRun, run_all, run_task
+from benchmark.evaluation.engine import Campaign, run_all, run_task
 from benchmark.evaluation.manifest import MANIFEST
 from benchmark.evaluation.results import (
     ERROR,
@@ -24,6 +24,7 @@ from benchmark.evaluation.results import (
     join_parts,
     write_part,
 )
+from benchmark.evaluation.task_run import TaskRun
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.artefact import begin
 

@@ -91,8 +91,7 @@ WRONG = (3, 11)  # views whose masks are wrong throughout
     ids=["eroded by 2 px", "dilated by 2 px", "2 of 16 empty", "2 of 16 elsewhere"],
 )
 def test_wrong_masks_cost_little(bottle, change, most):
-    """A right mask has 3 mm; 2 px are 7 mm on the bottle. Pixels outside of a mask stay, and so does
-    what was measured beside the bottle."""
+    """A right mask has 3 mm; 2 px are 7 mm on the bottle. All that was measured beside it stays."""
     scene = masks(bottle, change)
     fusion = ViewFusion([seen.view for seen in scene])
     assert [i for i, counts in enumerate(fusion.hull.counted) if not counts] in ([], [*WRONG])
