@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmark.data.frame import DepthFrame
 from benchmark.data.splits import DepthSource, FrameKey, inputs_of, open_split
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.query_options import FRAME_LIST, InferListOptions
 from benchmark.methods.depth.command import frame_row, raw_units, write_frame_list
 from std_toolkit.errors import ToolkitError

@@ -9,7 +9,7 @@ import pandas as pd
 
 from benchmark.data.identity import data_digest
 from benchmark.evaluation import recompute
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.manifest import (
     BOP_FILE,
     BOP_MANIFEST,

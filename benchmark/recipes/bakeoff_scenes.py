@@ -20,7 +20,7 @@ from benchmark.data.prediction_files import FrameFiles
 from benchmark.data.predictions import DepthFolder
 from benchmark.data.splits import FrameKey
 from benchmark.data.toolkit_scenes import ToolkitScenes, open_scenes, scene_folders
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.recipes.bakeoff_sprayed import SPRAYED, SPRAYED_MODEL, Sprayed, match_sprayed
 from benchmark.recipes.bakeoff_surroundings import Surroundings, views_of
 from std_toolkit.arrays import Floats

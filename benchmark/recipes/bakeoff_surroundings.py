@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.metrics.depth.figures import tolerance
 from std_toolkit.arrays import Floats
 from std_toolkit.geometry.camera import Camera, pixel_rays

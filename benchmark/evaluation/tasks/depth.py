@@ -20,14 +20,9 @@ from benchmark.data.predictions import (
     unit_of,
 )
 from benchmark.data.splits import FrameKey, Inputs
+from benchmark.evaluation.batches import Batch
 from benchmark.evaluation.config import DepthConfig, options_by_method
-from benchmark.evaluation.frames import (
-    Base,
-    Batch,
-    FrameRun,
-    frame_options,
-    restore_views,
-)
+from benchmark.evaluation.frames import Base, FrameRun, frame_options, restore_views
 from benchmark.evaluation.manifest import MANIFEST, Manifest, Setup, circumstances
 from benchmark.evaluation.results import (
     ERROR,

@@ -12,7 +12,8 @@ from benchmark.data import splits
 from benchmark.data.frame import DepthFrame, resize_nearest
 from benchmark.data.predictions import DepthFolder
 from benchmark.data.splits import FrameKey
-from benchmark.evaluation.frames import Base, Batch, batches_of, load_each, read_ahead
+from benchmark.evaluation.batches import Batch, batches_of, read_ahead
+from benchmark.evaluation.frames import Base, load_each
 from benchmark.evaluation.results import FRAME, INDEX, SCENE, write_part
 from benchmark.methods.protocol import Restored, Restorer
 from benchmark.metrics.protocols.alignment import Line, PairSums

@@ -5,8 +5,9 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.depth_panels import LARGEST_ERROR_M, depth_scale, strip
-from benchmark.evaluation.frames import FrameRun, chosen_frames
+from benchmark.evaluation.frames import FrameRun
 from benchmark.evaluation.results import ERROR, INDEX, TABLE, read_table
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restorer

@@ -14,7 +14,8 @@ from typing import Annotated, Any, Literal, get_args
 import msgspec
 
 from benchmark.data.frame import DepthFrame
-from benchmark.evaluation.frames import FrameRun, chosen_frames
+from benchmark.evaluation.batches import chosen_frames
+from benchmark.evaluation.frames import FrameRun
 from benchmark.evaluation.manifest import Count, hardware
 from benchmark.evaluation.submission import Submission
 from benchmark.methods.depth.full_size import (

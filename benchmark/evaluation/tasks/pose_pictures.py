@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.splits import DepthSource
-from benchmark.evaluation.frames import chosen_frames
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.results import INDEX, read_table
 from benchmark.evaluation.tasks.pose_table import POSES, READ, PoseFrames, frames_of
 from benchmark.metrics.pose import PoseTruth, get_pose_protocol, match_poses

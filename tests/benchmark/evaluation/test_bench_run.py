@@ -14,8 +14,9 @@ import pandas as pd
 import pytest
 
 from benchmark.data.splits import open_split
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.engine import run_all, run_task
-from benchmark.evaluation.frames import answers_one_by_one, chosen_frames
+from benchmark.evaluation.frames import answers_one_by_one
 from benchmark.evaluation.results import FAILURES, TABLE, write_part
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.registry import MethodOptions
@@ -102,10 +103,10 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, tmp_path: Path) -> None:
     program = (
         "import sys, time; from pathlib import Path\n"
         f"import {HERE} as s\n"
-        "from benchmark.evaluation import engine, frames\n"
+        "from benchmark.evaluation import batches, engine\n"
         "from benchmark.methods.registry import MethodOptions\n"
         "from std_toolkit.jobs import JobOptions\n"
-        "frames._FLUSH_S = 0.0\n"
+        "batches._FLUSH_S = 0.0\n"
         "slow = s.Counting.restore\n"
         "s.Counting.restore = lambda self, views: (time.sleep(0.3), slow(self, views))[1]\n"
         f"run = s.a_run(Path({str(root)!r}), Path({str(tmp_path / 'out')!r}),\n"
@@ -174,7 +175,7 @@ def test_parts_of_equal_name_do_not_lose_frames(
 ) -> None:
     """A run that was killed left a part whose first and last frame failed, the others good."""
     # Both failed batches come in one piece of work, hence in one part.
-    monkeypatch.setattr("benchmark.evaluation.frames._PIECES_PER_WORKER", 1)
+    monkeypatch.setattr("benchmark.evaluation.batches._PIECES_PER_WORKER", 1)
     run = a_run(root, tmp_path)
     whole = run_task(run, SERIAL)
     (run.folder / TABLE).unlink()
