@@ -76,7 +76,7 @@ def verdict(c: Controller) -> str:
 
 def weak_direction(c: Controller) -> str:
     """Return a sentence on the direction least determined by the last refinement, or ""."""
-    from std_toolkit.labels.refine.problem import weak_direction_upright
+    from std_toolkit.labels.refine.directions import weak_direction_upright
 
     weak = c.weak_directions.get(c.selected or "", "")
     if c.table is not None and c.selected is not None:

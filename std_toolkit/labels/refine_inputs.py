@@ -13,7 +13,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.geometry.surface_colors import SurfaceColors
 from std_toolkit.labels.keyframes import choose_keyframes
-from std_toolkit.labels.refine.problem import RefineObject, RefineView, covariance_at
+from std_toolkit.labels.refine.directions import covariance_at
+from std_toolkit.labels.refine.problem import RefineObject, RefineView
 from std_toolkit.labels.refine_step import (
     load_texture_views,
     load_views,

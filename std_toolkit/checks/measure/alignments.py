@@ -22,7 +22,7 @@ from std_toolkit.geometry.mesh import hull_vertices
 from std_toolkit.geometry.se3 import so3_log
 from std_toolkit.geometry.symmetry import nearest_variant
 from std_toolkit.labels.auto_refine import RefinedPose, refine_objects
-from std_toolkit.labels.refine.problem import covariance_at
+from std_toolkit.labels.refine.directions import covariance_at
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 

@@ -22,7 +22,7 @@ from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.jobs import JobOptions
 from std_toolkit.labels.auto_refine import refine_objects
 from std_toolkit.labels.propagate import propagate_labels
-from std_toolkit.labels.refine.problem import covariance_at
+from std_toolkit.labels.refine.directions import covariance_at
 from std_toolkit.options import PropagateOptions
 from std_toolkit.scene import Scene
 from std_toolkit.scene.model import Label, Labels, SymmetryModel

@@ -12,16 +12,14 @@ from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.se3 import SE3, so3_exp
 from std_toolkit.geometry.symmetry import Symmetry, mssd
 from std_toolkit.labels.refine.caster import NONE, WorldCaster, cast_patch
-from std_toolkit.labels.refine.edges.contour import Kind, trace_contour
-from std_toolkit.labels.refine.edges.solver import refine_poses
-from std_toolkit.labels.refine.problem import (
-    RefineObject,
-    RefineOptions,
-    RefineView,
+from std_toolkit.labels.refine.directions import (
     covariance_at,
     weak_direction_upright,
     weakest_direction,
 )
+from std_toolkit.labels.refine.edges.contour import Kind, trace_contour
+from std_toolkit.labels.refine.edges.solver import refine_poses
+from std_toolkit.labels.refine.problem import RefineObject, RefineOptions, RefineView
 
 CAMERA = Camera(320, 240, 330.0, 330.0, 161.0, 118.0)
 TRUTH = SE3(so3_exp([0.0, 0.0, 0.4]), np.array([0.01, -0.02, 0.05]))

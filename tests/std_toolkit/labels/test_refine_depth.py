@@ -18,7 +18,8 @@ from std_toolkit.labels.refine.depth.depth_steps import measure_depth
 from std_toolkit.labels.refine.depth.icp import DepthFitOptions, refine_on_depth
 from std_toolkit.labels.refine.depth.observed import fit_background, observe, plane_depth
 from std_toolkit.labels.refine.depth.pose_search import DepthCost
-from std_toolkit.labels.refine.problem import RefineObject, covariance_at
+from std_toolkit.labels.refine.directions import covariance_at
+from std_toolkit.labels.refine.problem import RefineObject
 
 BOX = mesh_object(
     trimesh.creation.box((0.08, 0.05, 0.1)),

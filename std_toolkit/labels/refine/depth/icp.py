@@ -21,6 +21,7 @@ from std_toolkit.labels.refine.caster import LayerStore
 from std_toolkit.labels.refine.depth import depth_steps
 from std_toolkit.labels.refine.depth.observed import ObservedRays, ObservedView, observe
 from std_toolkit.labels.refine.depth.pose_search import THOROUGH, SearchRange, search_pose
+from std_toolkit.labels.refine.directions import weakest_direction
 from std_toolkit.labels.refine.edges.solver import refine_poses
 from std_toolkit.labels.refine.object_surface import ObjectSurface
 from std_toolkit.scene.scale_model import SOURCE_ERRORS
@@ -173,7 +174,7 @@ def refine_on_depth(
         obj.name,
         pose,
         covariance,
-        problem.weakest_direction(
+        weakest_direction(
             covariance, obj.centre, obj.radius, obj.symmetry, T_world_obj=pose, views=views
         ),
         agreement,
@@ -270,7 +271,7 @@ def _finish(
     if not around:
         at_end = replace(found, T_world_obj=edges.T_world_obj)
         covariance = covariance + _sensor_spread(views, at_end)
-        weak_direction = problem.weakest_direction(
+        weak_direction = weakest_direction(
             covariance,
             found.centre,
             found.radius,

@@ -17,11 +17,12 @@ import numpy as np
 from std_toolkit.errors import ToolkitError
 from std_toolkit.labels.refine import problem
 from std_toolkit.labels.refine.caster import LayerStore
+from std_toolkit.labels.refine.directions import weakest_direction
 from std_toolkit.labels.refine.edges.approach import approach
 from std_toolkit.labels.refine.edges.descent import Descent, assemble, descend, weigh
 from std_toolkit.labels.refine.edges.measure import Level, PoseState, coarse_to_fine
 from std_toolkit.labels.refine.edges.restarts import end_elsewhere
-from std_toolkit.labels.refine.edges.texture_matches import follow_textures
+from std_toolkit.labels.refine.edges.texture_following import follow_textures
 from std_toolkit.labels.refine.edges.uncertainty import pose_covariances
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
@@ -164,7 +165,7 @@ def _result(
                 obj.name,
                 state.poses[i],
                 block,
-                problem.weakest_direction(
+                weakest_direction(
                     block,
                     obj.centre,
                     obj.radius,
