@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from std_toolkit.cli.command import Command, Program, _load
-from std_toolkit.cli.command_options import _options
+from std_toolkit.cli.option_fields import option_fields
 from std_toolkit.cli.programs import PROGRAMS
 from std_toolkit.cli.programs import _load as program_of
 from std_toolkit.jobs.door import Writes
@@ -57,7 +57,7 @@ def options() -> Iterator[tuple[Program, Command, Any]]:
     for name in PROGRAMS:
         program = program_of(name)
         for command in program.commands:
-            for option in _options(_load(command.options)):
+            for option in option_fields(_load(command.options)):
                 yield program, command, option
 
 
@@ -92,7 +92,7 @@ def title(value: Any) -> str:
 def needed(command: Command, attacked: Any, folder: Path) -> list[str]:
     """Words for the options that a command needs, except one."""
     positional, named = [], []
-    for option in _options(_load(command.options)):
+    for option in option_fields(_load(command.options)):
         also = option.name in ALSO_NEEDED.get(command.options, ())
         if option.field == attacked.field or (option.default is not option_missing() and not also):
             continue

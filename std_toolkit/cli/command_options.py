@@ -26,18 +26,17 @@ import copy
 import dataclasses
 import enum
 import functools
-import inspect
 import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin
 
+from std_toolkit.cli.option_fields import MAPPINGS, build_options, option_fields
 from std_toolkit.errors import ToolkitError, check_options
 
-_MAPPINGS = (dict, Mapping)
 _REPEATED = re.compile(r"\{?\[(\{[^{}]*\}|[A-Z]+) \[\1 \.\.\.\]\]\}?")
 
 
@@ -90,10 +89,10 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
             print(_tidy(page.getvalue()))
     call = parse()
     try:
-        options = _build(kind, vars(call))
+        options = build_options(kind, vars(call))
         check_options(options)
     except ToolkitError as error:
-        titles = {option.field: option.title for option in _options(kind)}
+        titles = {option.field: option.title for option in option_fields(kind)}
         error.field = titles.get(error.field or "", error.field)
         raise UsageError(str(error)) from error
     common = {field.name: getattr(call, field.name) for field in dataclasses.fields(CommonOptions)}
@@ -102,10 +101,8 @@ def parse_options(kind: type[Any], words: Sequence[str], program: str) -> tuple[
 
 def _refuse_twice(kind: type[Any], words: Sequence[str]) -> None:
     """Refuse an option of several values that is given twice: the parser drops the first ones."""
-    for option in _options(kind):
-        many = (
-            get_origin(option.type) in (*_MAPPINGS, tuple, list) and "size" not in option.metadata
-        )
+    for option in option_fields(kind):
+        many = get_origin(option.type) in (*MAPPINGS, tuple, list) and "size" not in option.metadata
         times = sum(word.partition("=")[0] == f"--{option.name}" for word in words)
         if option.name and many and times > 1 and not option.metadata.get("repeat"):
             raise UsageError(f"--{option.name}: given twice; give all values after one of them")
@@ -117,7 +114,7 @@ _MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 def _in_millimetres(kind: type[Any], words: Sequence[str]) -> list[str]:
     """The words, where lengths such as 10mm or 0.01m are numbers of millimetres."""
-    lengths = {f"--{option.name}" for option in _options(kind) if "factor" in option.metadata}
+    lengths = {f"--{option.name}" for option in option_fields(kind) if "factor" in option.metadata}
     found = list(words)
     for index, name in enumerate(words[:-1]):
         if name in lengths and (given := _LENGTH.fullmatch(words[index + 1])):
@@ -145,7 +142,7 @@ def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -
 
 def values_of(options: Any) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """Title, value and metadata of each option; those of nested dataclasses as their own."""
-    return ((o.title, o.default, o.metadata) for o in _options(type(options), options))
+    return ((o.title, o.default, o.metadata) for o in option_fields(type(options), options))
 
 
 def words_of(options: Any) -> list[str]:
@@ -153,7 +150,7 @@ def words_of(options: Any) -> list[str]:
     positional: list[str] = []
     named: list[str] = []
     kind = type(options)
-    for given, plain in zip(_options(kind, options), _options(kind), strict=True):
+    for given, plain in zip(option_fields(kind, options), option_fields(kind), strict=True):
         value = given.default
         if value == plain.default:
             continue
@@ -193,151 +190,15 @@ def _markers() -> tuple[Any, ...]:
     )
 
 
-@dataclass(frozen=True)
-class _Option:
-    """An option or positional argument of a command.
-
-    Attributes:
-        field: of the dataclass.
-        name: on the command line; "" for a positional argument.
-        type: with annotations.
-        default: `dataclasses.MISSING` for none.
-        help: its text.
-        metadata: of the field.
-    """
-
-    field: str
-    name: str
-    type: Any
-    default: Any
-    help: str
-    metadata: Mapping[str, Any]
-
-    @property
-    def title(self) -> str:
-        return f"--{self.name}" if self.name else self.field.upper()
-
-
-def _options(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[_Option]:
-    """Options of a dataclass, with those of nested ones; `given` holds other defaults."""
-    from docstring_parser import parse_from_object
-
-    texts = {
-        text.arg_name: " ".join((text.description or "").split())
-        for c in reversed(kind.__mro__[:-1])
-        for text in parse_from_object(c).params
-    }
-    for field, hint, default in _fields(kind, given):
-        if _is_record(hint):
-            yield from _options(hint, default)
-            continue
-        plain = "" if default is dataclasses.MISSING else field.name.replace("_", "-")
-        name = field.metadata.get("off", field.metadata.get("option", plain))
-        yield _Option(field.name, name, hint, default, texts.get(field.name, ""), field.metadata)
-
-
-def _fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:
-    """Fields on the command line, their types and defaults.
-
-    Those of base classes follow, nested dataclasses are last.
-    """
-    hints = get_type_hints(kind, include_extras=True)
-    owners: dict[str, int] = {}
-    for place, owner in enumerate(kind.__mro__):
-        owners |= {name: place for name in inspect.get_annotations(owner) if name not in owners}
-    for field in sorted(
-        dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else _struct_fields(kind, hints),
-        key=lambda field: (_is_record(hints[field.name]), owners[field.name]),
-    ):
-        if not field.init or field.metadata.get("option", "") is None:
-            continue
-        default = field.default
-        if given is not dataclasses.MISSING:
-            default = getattr(given, field.name)
-        elif callable(field.default_factory):
-            default = field.default_factory()
-        yield field, hints[field.name], default
-
-
-def _build(kind: type[Any], values: Mapping[str, Any], given: Any = dataclasses.MISSING) -> Any:
-    """The dataclass of the values of its options."""
-    found = {}
-    for field, hint, default in _fields(kind, given):
-        value: Any = values.get(field.name)
-        if _is_record(hint):
-            value = _build(hint, values, default)
-        elif get_origin(hint) in _MAPPINGS:
-            value = _pairs(field.name, value, get_args(hint)[1])
-        elif "off" in field.metadata:
-            value = not value
-        elif "factor" in field.metadata:
-            value = value and value / field.metadata["factor"]
-        elif "size" in field.metadata and isinstance(value, str):
-            value = _size(field.name, value)
-        elif value == () and default is None:
-            value = None
-        found[field.name] = value
-    if given is dataclasses.MISSING:
-        return kind(**found)
-    if dataclasses.is_dataclass(kind):
-        return dataclasses.replace(given, **found)
-    from msgspec import structs
-
-    return structs.replace(given, **found)
-
-
-def _is_record(hint: Any) -> bool:
-    """Whether a type is a dataclass or a `msgspec.Struct` of options."""
-    return dataclasses.is_dataclass(hint) or hasattr(hint, "__struct_fields__")
-
-
-def _struct_fields(kind: type[Any], hints: Mapping[str, Any]) -> Iterator[dataclasses.Field[Any]]:
-    """Fields of a Struct as dataclass fields; their metadata are the `extra` of a `Meta`."""
-    from msgspec import NODEFAULT, structs
-
-    for info in structs.fields(kind):
-        extras = (
-            getattr(meta, "extra", None) for meta in getattr(hints[info.name], "__metadata__", ())
-        )
-        default = dataclasses.MISSING if info.default is NODEFAULT else info.default
-        field: Any = dataclasses.field(default=default, metadata=next(filter(None, extras), {}))
-        field.name = info.name
-        yield field
-
-
-def _pairs(name: str, words: Sequence[str], kind: type[Any]) -> dict[str, Any]:
-    """A mapping from `NAME=VALUE`."""
-    found = {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if not (key and equals):
-            raise ToolkitError("expected NAME=VALUE", field=name, value=word)
-        if key in found:
-            raise ToolkitError("given twice", field=name, value=key)
-        try:
-            found[key] = kind(value)
-        except ValueError:
-            problem = f"expected NAME={kind.__name__.upper()}"
-            raise ToolkitError(problem, field=name, value=word) from None
-    return found
-
-
-def _size(name: str, word: str) -> tuple[int, int]:
-    width, _, height = word.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
-        raise ToolkitError("expected a size such as 1280x720", field=name, value=word)
-    return int(width), int(height)
-
-
 def _with_common(kind: type[Any]) -> type[Any]:
     """A flat dataclass of all options, for the parser."""
     from tyro import conf
 
     fields: list[tuple[str, Any, Any]] = []
-    options = sorted(_options(kind), key=lambda o: o.default is not dataclasses.MISSING)
-    for option in (*options, *_options(CommonOptions)):
+    options = sorted(option_fields(kind), key=lambda o: o.default is not dataclasses.MISSING)
+    for option in (*options, *option_fields(CommonOptions)):
         hint, default, metavar = option.type, option.default, None
-        if get_origin(hint) in _MAPPINGS:
+        if get_origin(hint) in MAPPINGS:
             hint, metavar = tuple[str, ...], "NAME=VALUE ..."
             default = tuple(f"{name}={value}" for name, value in default.items())
             if option.metadata.get("repeat"):
