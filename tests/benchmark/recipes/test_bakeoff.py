@@ -251,7 +251,7 @@ def test_the_methods_at_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert all(cost["seconds"]["mean"] > 0 for cost in found["costs"].values())
     assert "processor time a frame of 640x480" in (tmp_path / "out" / "bakeoff.html").read_text()
     assert found["kind"] == "undecided"
-    assert "8 views or more" in found["conclusion"]
+    assert "9 views or more" in found["conclusion"]
 
 
 def test_wrong_recordings(
