@@ -332,6 +332,26 @@ class CheckOptions(CheckBasics):
         if self.shift_px > self.search_px:
             raise ToolkitError("must be at most search_px", field="shift_px", value=self.shift_px)
 
+    def label_limits(self) -> dict[str, float]:
+        """The limits that decide on labels and differ from the defaults, by name."""
+        return {
+            entry.name: float(value)
+            for entry in fields(self)
+            if entry.name not in _NOT_OF_LABELS
+            and (value := getattr(self, entry.name)) != entry.default
+        }
+
+
+# Options of the check that no verdict on a label depends on: gates of the scene, exit status, page.
+_NOT_OF_LABELS = frozenset(
+    (
+        *(entry.name for entry in fields(CheckBasics)),
+        *("min_registered", "max_reprojection_px", "max_scale_disagreement", "max_scale_sigma"),
+        *("max_alignment_px", "max_frames", "overlay_frames", "image_width", "jpeg_quality"),
+        *("inject", "inject_objects", "inject_frames"),
+    )
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:

@@ -121,7 +121,7 @@ def run_check(
         )
         if artefact.is_kept():
             report = read_document(scene.root / FOLDER / "report.json", result.CheckReport)
-            store_judgements(scene, report)
+            store_judgements(scene, report, options)
             return report
         with ArrayFile(scene.root / ".std") as arrays:
             report, page = _check(scene, frames, fingerprint, options, jobs, arrays)
@@ -134,7 +134,7 @@ def run_check(
         for name, data in outputs.items():
             write_bytes_atomic(scene.root / FOLDER / name, data)
         artefact.write([scene.root / FOLDER / name for name in outputs])
-        store_judgements(scene, report)
+        store_judgements(scene, report, options)
     return report
 
 

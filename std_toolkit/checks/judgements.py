@@ -1,5 +1,6 @@
 """The judgement of each label, from the report of the check, and its way into labels.json."""
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 
 import msgspec
@@ -9,8 +10,9 @@ from numpy.typing import NDArray
 from std_toolkit.checks.measure.textures import TextureFinding
 from std_toolkit.checks.result import CheckReport, GateFinding, ObjectCheck, Value
 from std_toolkit.checks.shapes import size_sentence
+from std_toolkit.options import CheckOptions
 from std_toolkit.scene.judgement import Evidence, Judgement, Source
-from std_toolkit.scene.label_verdicts import judgement_inputs
+from std_toolkit.scene.label_verdicts import judgement_inputs, judgement_limits
 from std_toolkit.scene.model import Label, Labels, pose_from_list
 from std_toolkit.scene.scene import Scene
 
@@ -23,12 +25,14 @@ _CAUSES = {
 }
 
 
-def store_judgements(scene: Scene, report: CheckReport) -> None:
+def store_judgements(scene: Scene, report: CheckReport, options: CheckOptions) -> None:
     """Write the judgements of a report into labels.json, if they are new.
 
-    The report belongs to the labels of the scene, and the caller holds the lock of the scene.
+    The report belongs to the labels of the scene and to the options, and the caller holds the lock
+    of the scene.
     """
-    inputs = judgement_inputs(scene)
+    limits = judgement_limits(options.label_limits())
+    inputs = judgement_inputs(scene, limits)
     rows = {item.object: item for item in report.objects}
     now = utc_now()
     labels = []
@@ -36,7 +40,7 @@ def store_judgements(scene: Scene, report: CheckReport) -> None:
         item = rows.get(label.object)
         judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
         if item is not None and label.T_world_obj is not None:
-            judgement = judgement_of(item, report, label, inputs[label.object], now)
+            judgement = judgement_of(item, report, label, inputs[label.object], limits, now)
         labels.append(msgspec.structs.replace(label, judgement=_kept(label, judgement)))
     if labels != scene.labels.labels:
         scene.save_labels(Labels(labels=labels))
@@ -52,6 +56,7 @@ def judgement_of(
     report: CheckReport,
     label: Label,
     inputs: str,
+    limits: Mapping[str, float],
     time: str,
     texture: TextureFinding | None = None,
 ) -> Judgement:
@@ -62,6 +67,7 @@ def judgement_of(
         report: the report.
         label: its label, with a pose in the world.
         inputs: digest of what was measured; see `judgement_inputs`.
+        limits: see `judgement_limits`.
         time: when it was measured, UTC, ISO 8601.
         texture: what its texture says, for the pose of a turn that fits better.
     """
@@ -87,6 +93,7 @@ def judgement_of(
         deviation_mm=_weakest(covariance, slice(0, 3)),
         deviation_deg=_weakest(covariance, slice(3, 6)),
         inputs=inputs,
+        limits=dict(limits),
         time=time,
         evidence=_evidence(item),
     )

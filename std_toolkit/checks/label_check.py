@@ -25,7 +25,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.judgement import Judgement
-from std_toolkit.scene.label_verdicts import judgement_inputs
+from std_toolkit.scene.label_verdicts import judgement_inputs, judgement_limits
 from std_toolkit.settings import Settings, limit
 
 
@@ -143,7 +143,8 @@ class LabelCheck:
             compared=compared,
             only=objects,
         )
-        inputs = judgement_inputs(scene)
+        limits = judgement_limits(self._options.label_limits())
+        inputs = judgement_inputs(scene, limits)
         now = utc_now()
         found = {}
         for item in report.objects:
@@ -151,7 +152,8 @@ class LabelCheck:
             if item.object not in objects or label is None or label.T_world_obj is None:
                 continue
             texture = compared.get(item.object)
-            judgement = judgement_of(item, report, label, inputs[item.object], now, texture)
+            inputs_of = inputs[item.object]
+            judgement = judgement_of(item, report, label, inputs_of, limits, now, texture)
             found[item.object] = JudgedLabel(judgement, texture)
         return found
 

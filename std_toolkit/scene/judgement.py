@@ -61,6 +61,7 @@ class Judgement(Document, frozen=True, kw_only=True):
         deviation_mm, deviation_deg: standard deviation of the measured pose along its weakest
             direction; null if nothing was measured.
         inputs: digest of mesh, frames and limits.
+        limits: those that differed from the defaults, by name.
         time: when it was measured, UTC, ISO 8601.
         evidence: from each source.
     """
@@ -74,6 +75,7 @@ class Judgement(Document, frozen=True, kw_only=True):
     deviation_mm: float | None = None
     deviation_deg: float | None = None
     inputs: str
+    limits: dict[str, float] = msgspec.field(default_factory=dict)
     time: str
     evidence: list[Evidence] = msgspec.field(default_factory=list)
 

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 # Anti-aliasing, shading and the mesh move edges by this much even where the label is exact.
 _SMALLEST_STD_PX = 0.25
 _PRIOR = np.array([0.03] * 3 + [0.25] * 3)
-_PRIOR_SIZE = 0.1
+PRIOR_SIZE = 0.1
 # Widths in px of the edge's likelihood: wide ones find the motion, the last one measures it.
 _WIDTHS_PX = (6.0, 4.0, 2.5, 1.5, 1.0, 0.7)
 _STEPS = 3
@@ -62,6 +62,10 @@ class Motion:
         residual_px: robust standard deviation of the edges around the moved contour.
         gain: log likelihood of the independent samples gained by the motion.
         errors: (M,) px of the shared errors that were solved for.
+        evidence: log likelihood of what was solved for, all its values weighed by their priors,
+            against the label as it is.
+        stretch: (3,) the size along each axis of `solve_motion`; None if it was not solved.
+        stretch_covariance: (3, 3) of it.
     """
 
     vector: Array
@@ -71,6 +75,9 @@ class Motion:
     residual_px: float
     gain: float
     errors: Array
+    evidence: float
+    stretch: Array | None = None
+    stretch_covariance: Array | None = None
 
     @property
     def translation_mm(self) -> tuple[float, float]:
@@ -107,6 +114,7 @@ def solve_motion(
     free: Array | None = None,
     *,
     with_size: bool = False,
+    axes: Array | None = None,
     shared: SharedErrors | None = None,
     cameras: Sequence[Array] = (),
 ) -> Motion | None:
@@ -116,6 +124,7 @@ def solve_motion(
         equations: one entry per frame.
         free: (N, 6) motions that are left out, from `symmetry_motions`.
         with_size: solve for the size of the object, too.
+        axes: (3, 3) columns along which the size is measured besides, each by itself.
         shared: errors that edges of all frames share; they are part of the covariance.
         cameras: (6, 6) covariance by frame of the motion that the error of its camera looks like,
             see `shared_errors.seen_error`; none: camera poses have no error.
@@ -127,7 +136,7 @@ def solve_motion(
         return None
     shared = shared or SharedErrors()
     dof = 7 if with_size else 6
-    deviations = [*_PRIOR, *([_PRIOR_SIZE] if with_size else []), *shared.deviations]
+    deviations = [*_PRIOR, *([PRIOR_SIZE] if with_size else []), *shared.deviations]
     prior = np.diag(1 / np.array(deviations) ** 2)
     for motion in np.zeros((0, 6)) if free is None else free:
         row = np.zeros(len(prior))
@@ -140,6 +149,7 @@ def solve_motion(
         xi = found[best]
         std = _deviation(rows, xi)
         information, squares = _information(rows, xi, std)
+        stretched = None if axes is None else _stretched(rows, xi, std, prior, axes)
     inverse = np.linalg.inv(information + prior).astype(np.float64)
     covariance = inverse
     if len(equations) > 1:
@@ -153,14 +163,24 @@ def solve_motion(
     alike = np.diag(np.repeat([shared.systematic**2 / max(s, 1e-9) for s in squares], 3))
     kept = _without(free)
     covariance[:6, :6] += kept @ alike @ kept.T
+    stretch = stretch_covariance = None
+    if stretched is not None:
+        stretch, alone = stretched
+        # Views disagree on it as they do on the size.
+        stretch_covariance = alone * (covariance[6, 6] / inverse[6, 6])
+    occam = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(information + prior)[1]
+    gain = scores[best] - at_label
     return Motion(
         xi[:6],
         covariance[:6, :6],
         float(xi[6]) if with_size else None,
         float(np.sqrt(covariance[6, 6])) if with_size else None,
         std,
-        scores[best] - at_label,
+        gain,
         xi[dof:],
+        float(gain + 0.5 * occam),
+        stretch,
+        stretch_covariance,
     )
 
 
@@ -309,6 +329,28 @@ def _information(rows: _Rows, motion: Array, std: float) -> tuple[Array, tuple[f
         radians += float((J[:, 3:6] ** 2).sum(axis=1).sum())
         count += len(J)
     return np.asarray(total), (metres / count, radians / count)
+
+
+def _stretched(
+    rows: _Rows, motion: Array, std: float, prior: Array, axes: Array
+) -> tuple[Array, Array]:
+    """Sizes along three axes (3,) and their covariance, near a motion (D,) with one size."""
+    wide = np.diag(np.insert(np.diag(prior), 6, [1 / PRIOR_SIZE**2] * 2))
+    wide[:6, :6] = prior[:6, :6]
+    A, b = wide.copy(), -wide @ np.insert(motion, 6, [motion[6]] * 2)
+    for block in rows.blocks():
+        J = block.jacobian
+        force, torque, size = J[:, :3], J[:, 3:6], J[:, 6:7]
+        arm = (np.cross(force, torque) + force * size) / np.maximum(
+            (force**2).sum(axis=1, keepdims=True), 1e-12
+        )
+        J3 = np.concatenate([J[:, :6], (force @ axes) * (arm @ axes), J[:, 7:]], axis=1)
+        weight = block.share[:, None] * block.responsibility(motion)[0] / std**2
+        e = block.offsets - (J @ motion)[:, None]
+        A += (J3 * weight.sum(axis=1)[:, None]).T @ J3
+        b += J3.T @ (weight * e).sum(axis=1)
+    C = np.linalg.inv(A)
+    return motion[6] + (C @ b)[6:9], C[6:9, 6:9]
 
 
 def _by_frame(

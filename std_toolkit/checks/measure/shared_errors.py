@@ -43,6 +43,10 @@ class SharedErrorSettings(Settings):
     """deviation of edges outside or inside of the whole outline"""
     opaque_rim_px: float = limit(0.2, unit="px", source="the same scenes: 0.05 px inside")
     """the same on other materials"""
+    shaded_rim_px: float = limit(
+        0.7, unit="px", source="as on steel: glossy objects are declared diffuse, too"
+    )
+    """least deviation of edges outside or inside of the whole outline where it has a shade"""
     foot_px: Mapping[str, float] = limit(
         {"specular": 1.5},
         unit="px",
@@ -103,6 +107,10 @@ class SharedErrors:
         """Those where the size of the object is solved for, too."""
         least = SharedErrorSettings.current().sized_systematic_px
         return replace(self, systematic=max(self.systematic, least))
+
+    def shaded(self) -> SharedErrors:
+        """Those of an object with a shade or a shine along its whole outline."""
+        return replace(self, rim=max(self.rim, SharedErrorSettings.current().shaded_rim_px))
 
     @property
     def deviations(self) -> list[float]:

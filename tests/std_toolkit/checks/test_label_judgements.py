@@ -12,6 +12,7 @@ import pytest
 from toy_balls import Toy, write_toy
 
 from std_toolkit.checks.check_step import report_is_current, run_check
+from std_toolkit.checks.gates.hypotheses import JudgeSettings
 from std_toolkit.checks.summary import summarise
 from std_toolkit.cli.main import main
 from std_toolkit.geometry.se3 import SE3
@@ -22,8 +23,9 @@ from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import Label, ObjectTable, Scene, SymmetryModel
 from std_toolkit.scene.check_flags import scene_fingerprint
 from std_toolkit.scene.judgement import Judgement
-from std_toolkit.scene.label_verdicts import label_verdicts
+from std_toolkit.scene.label_verdicts import judgement_inputs, judgement_limits, label_verdicts
 from std_toolkit.scene.model import ContinuousSymmetry
+from std_toolkit.settings import override
 
 SERIAL = JobOptions(engine="serial", progress=False)
 TOY = Toy(frames=5)
@@ -240,3 +242,32 @@ def test_unchecked_labels_are_exported_as_unknown(
     assert quality["checked"] is False
     assert {x["grade"] for x in quality["labels"]} == {"unknown"}
     assert summarise(scene).next_command == f"std-curate check {scene.root}"
+
+
+def test_a_judgement_holds_for_its_limits(make_scene: Callable[[Toy], Scene]) -> None:
+    scene = round_balls(make_scene(TOY))
+    loose = CheckOptions(overlay_frames=0, max_motion_deg=20.0, max_motion_mm=50.0)
+    run_check(scene, loose, SERIAL)
+    found = label_verdicts(Scene.open(scene.root))
+    assert [v.grade for v in found] == ["fits", "fits"]
+    # The verdict says by which limits.
+    assert "max_motion_mm 50" in found[0].line()
+    wide = Scene.open(scene.root).labels
+    # Evidence for wider limits than those of the present check says nothing.
+    run_check(scene, OPTIONS, SERIAL)
+    narrow = Scene.open(scene.root).labels
+    assert grades(scene.root) == {1: "fits", 2: "fits"}
+    scene.save_labels(wide)
+    assert grades(scene.root) == {1: "unknown", 2: "unknown"}
+    assert "other limits" in label_verdicts(Scene.open(scene.root))[0].reason
+    # The page is no evidence, and what fits narrow limits fits wider ones.
+    run_check(scene, loose, SERIAL)
+    scene.save_labels(narrow)
+    assert grades(scene.root) == {1: "fits", 2: "fits"}
+    # Settings count as well.
+    limits = judgement_limits(OPTIONS.label_limits())
+    assert limits == {"max_motion_deg": 20.0}
+    with override(JudgeSettings(right_prior=0.2)):
+        assert judgement_limits() == {"checks.gates.hypotheses.right_prior": 0.2}
+        assert judgement_inputs(scene) != judgement_inputs(scene, {})
+        assert grades(scene.root) == {1: "unknown", 2: "unknown"}

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 
 from sensors.synthetic import RecordingOptions, scene_from_truth
 from sensors.synthetic.recording import textured_meshes
@@ -15,8 +17,11 @@ from std_toolkit.arrays import Array
 from std_toolkit.checks.gates.judge import judge_scene
 from std_toolkit.checks.label_check import LabelCheck
 from std_toolkit.checks.measure.contours import LabelCaster
+from std_toolkit.checks.measure.motion import MotionEquations
+from std_toolkit.checks.measure.object_motion import moved_item
 from std_toolkit.checks.measure.residuals import measure_frame
 from std_toolkit.checks.measure.shape_map import map_shape
+from std_toolkit.checks.measure.shared_errors import SharedErrors
 from std_toolkit.checks.result import ObjectCheck, Value
 from std_toolkit.checks.shapes import (
     find_shapes,
@@ -28,6 +33,7 @@ from std_toolkit.checks.shapes import (
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
 from std_toolkit.scene.memory_scene import MemoryScene
+from std_toolkit.scene.model import Material
 
 OPTIONS = CheckOptions()
 UP = np.array([0.0, 0.0, 1.0])
@@ -81,6 +87,107 @@ def test_the_smallest_fault_lies_at_the_limit_and_grows_with_the_deviations() ->
         **{f: getattr(unknown, f) for f in unknown.__struct_fields__ if f != "values"}, values=[]
     )
     assert smallest_faults(unknown, OPTIONS) == (None, None)
+
+
+BOX = np.array(np.meshgrid([-0.08, 0.08], [-0.03, 0.03], [-0.105, 0.105])).reshape(3, -1).T
+ANGLES = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+CAN = np.concatenate(
+    [
+        np.stack([0.04 * np.cos(ANGLES), 0.04 * np.sin(ANGLES), h + 0 * ANGLES], axis=1)
+        for h in (-0.05, 0.05)
+    ]
+)
+MUG = np.concatenate([CAN, [[0.075, 0, -0.02], [0.075, 0, 0.02]]])
+SHAPES = {"box": BOX, "can": CAN, "mug": MUG}
+
+
+def outlines(
+    points: Array, seed: int, *, stretch: Array, rim_px: float = 0.0
+) -> list[MotionEquations]:
+    """Convex outlines of a mesh in eight frames, and the edges of a stretched object beside them.
+
+    Args:
+        points: (N, 3) of the mesh, about its centre.
+        seed: of the noise, part of which is alike along 60 px.
+        stretch: (3,) sizes of the object along its axes, minus 1.
+        rim_px: edges lie so far outside of the whole outline.
+    """
+    random = np.random.default_rng(seed)
+    found = []
+    for azimuth in np.linspace(-0.8, 0.8, 8):
+        elevation = np.deg2rad(random.uniform(30, 45))
+        up = np.array([0.0, 0.0, 1.0])
+        turn = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        back = np.cos(elevation) * turn + np.sin(elevation) * up
+        right = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
+        down = np.cross(right, back)
+        depth = 0.65 - points @ back
+        image = 600 * np.stack([points @ right, points @ down], axis=1) / depth[:, None]
+        corner = ConvexHull(image).vertices
+        rows = []
+        for a, b in zip(corner, np.roll(corner, -1), strict=True):
+            along = image[b] - image[a]
+            length = float(np.linalg.norm(along))
+            normal = np.array([along[1], -along[0]]) / max(length, 1e-9)
+            for part in np.arange(3.0, length, 6.0) / length:
+                arm = (1 - part) * points[a] + part * points[b]
+                z = 0.65 - arm @ back
+                force = 600 / z * (normal[0] * right + normal[1] * down)
+                force += (normal @ (600 * np.array([arm @ right, arm @ down]) / z)) / z * back
+                rows.append(np.concatenate([force, np.cross(arm, force), [force @ arm]]))
+                rows[-1] = np.append(rows[-1], force @ (stretch * arm))
+        table = np.array(rows)
+        slow = np.repeat(random.normal(0, 0.15, len(table) // 10 + 1), 10)[: len(table)]
+        edges = table[:, 7] + rim_px + slow + random.normal(0, 0.3, len(table))
+        offsets = np.stack([edges, random.uniform(-15, 15, len(edges))], axis=1)
+        arrays = offsets, np.full_like(offsets, 0.7), np.full(len(edges), 0.1), table[:, :7]
+        found.append(MotionEquations(*(a.astype(np.float32) for a in arrays), 6.0 * len(edges)))
+    return found
+
+
+def told_size(
+    name: str, equations: list[MotionEquations], material: Material = "diffuse"
+) -> tuple[float, float]:
+    """The size that is claimed, 0 for none, and the standard deviation of it."""
+    free = np.zeros((0, 6)) if name != "can" else np.eye(6)[5:]
+    shared = SharedErrors.of_material(material, UP)
+    row = moved_item(
+        msgspec.structs.replace(an_object(), material=material, values=[]),
+        equations,
+        free,
+        OPTIONS,
+        axes=np.eye(3),
+        shared=shared,
+        cameras=(),
+    )
+    std = row.std("size_error")
+    assert std is not None
+    return significant_size(row), std
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("name", "percent"), [("box", -2), ("box", 2), ("can", 4), ("mug", -4), ("mug", 4)]
+)
+def test_a_wrong_scale_is_claimed(name: str, percent: int, seed: int) -> None:
+    size, std = told_size(name, outlines(SHAPES[name], seed, stretch=np.full(3, percent / 100)))
+    assert size != 0 and abs(size - percent / 100) < 2.5 * std
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", sorted(SHAPES))
+def test_a_shade_or_another_shape_is_no_scale(name: str, seed: int) -> None:
+    """The bounds hold whatever is the reason of the edges."""
+    for material, stretch, rim_px in (
+        ("diffuse", [0, 0, 0], 0.0),
+        ("diffuse", [0, 0, 0], -0.5),
+        ("raw", [0, 0, 0], -1.0),
+        ("raw", [0, 0, 0], 1.0),
+        ("diffuse", [0, 0, 0.03], 0.0),
+        ("diffuse", [0.02, -0.02, 0], 0.0),
+    ):
+        seen = outlines(SHAPES[name], seed, stretch=np.array(stretch), rim_px=rim_px)
+        assert told_size(name, seen, material)[0] == 0, (material, stretch, rim_px)
 
 
 @pytest.fixture(scope="module")
