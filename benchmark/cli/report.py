@@ -55,6 +55,8 @@ class SiteOptions:
     """heading of the first page"""
     pictures: bool = True
     """pictures of a few frames of each run"""
+    published: bool = True
+    """the figures that papers print"""
 
     def __post_init__(self) -> None:
         if not self.results:
@@ -67,7 +69,7 @@ def site(options: SiteOptions) -> int:
 
     made = build_site(
         options.results, options.out, verified=options.verified, title=options.title,
-        pictures=options.pictures,
+        pictures=options.pictures, published=options.published,
     )  # fmt: skip
     print(f"{made.index}: {made.runs} results of {made.methods} methods on {made.boards} boards")
     return 0

@@ -41,12 +41,15 @@ SUBSETS_OF = {
     "full frame": ("scene",),
 }
 
-# What a figure is worth: printed by its authors, in a table of a repository or on the page of a
-# package; measured again by others; told by somebody who read it, with or without the page.
-GRADES = (
-    "paper text", "repository table", "package page", "independent rerun",
-    "secondary, page cited", "secondary",
-)  # fmt: skip
+# What a figure is worth.
+GRADES = {
+    "paper text": "printed by its authors in the paper",
+    "repository table": "printed by its authors in a table of their repository",
+    "package page": "printed by its authors on the page of a package",
+    "independent rerun": "measured again by others",
+    "secondary, page cited": "told by somebody who read it, with the page",
+    "secondary": "told by somebody who read it",
+}
 
 # Pages that stay where they are and that anyone can open.
 _ADDRESS = re.compile(
@@ -130,7 +133,7 @@ def published_sources() -> pd.DataFrame:
     """
     rows = pd.read_csv(_SOURCES_FILE, keep_default_na=False)
     for row in rows.itertuples():
-        check_known(row.trust, GRADES, "unknown grade", path=_SOURCES_FILE, field=row.source)
+        check_known(row.trust, tuple(GRADES), "unknown grade", path=_SOURCES_FILE, field=row.source)
         if row.address and not _ADDRESS.fullmatch(row.address):
             raise ToolkitError(
                 "is no address that a reader can open",

@@ -60,12 +60,11 @@ def read_exr(path: Path | str) -> dict[str, NDArray[np.generic]]:
     import OpenEXR
 
     path = Path(path)
-    header = read_exr_header(path)
-    with open_regular(path) as whole:
-        check_whole_exr(path, header, whole.read())
+    data = _read(path)
+    check_whole_exr(path, _header(path, data), data)
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+            return {name: channel.pixels for name, channel in file.channels().items()}
     except Exception as error:  # the binding raises bare RuntimeError and worse
         raise ToolkitError(f"cannot decode the EXR file: {error}", path=path) from error
 
@@ -92,7 +91,8 @@ def read_exr_channel(
     import OpenEXR
 
     path = Path(path)
-    header = read_exr_header(path)
+    data = _read(path)
+    header = _header(path, data)
     name = next((n for n in names if n in header.channels), None)
     if name is None:
         if len(header.channels) != 1:
@@ -102,8 +102,7 @@ def read_exr_channel(
                 value=header.channels,
             )
         name = header.channels[0]
-    with open_regular(path) as whole:
-        check_whole_exr(path, header, whole.read(), inflate=False)
+    check_whole_exr(path, header, data, inflate=False)
     try:
         with OpenEXR.File(str(path), separate_channels=True) as image:
             channels = image.channels()
@@ -113,12 +112,11 @@ def read_exr_channel(
                 raise ToolkitError(
                     "the EXR file is a picture, not a map: its channels differ", path=path
                 )
-            return pixels.copy()
+            return pixels
     except ToolkitError:
         raise
     except Exception as error:  # the binding raises bare RuntimeError and worse
-        with open_regular(path) as whole:
-            check_whole_exr(path, header, whole.read())
+        check_whole_exr(path, header, data)
         raise ToolkitError(f"cannot decode the EXR file: {error}", path=path) from error
 
 
@@ -233,8 +231,15 @@ def read_exr_header(path: Path) -> ExrHeader:
         ToolkitError: not found, not an EXR, not a plain image (deep, several parts, cropped,
             subsampled), or of an implausible size.
     """
+    return _header(path, _read(path, _LARGEST_HEADER_BYTES))
+
+
+def _read(path: Path, size: int = -1) -> bytes:
     with open_regular(path) as file:
-        data = file.read(_LARGEST_HEADER_BYTES)
+        return file.read(size)
+
+
+def _header(path: Path, data: bytes) -> ExrHeader:
     try:
         return _parse(path, data)
     except (struct.error, ValueError, KeyError, IndexError) as error:

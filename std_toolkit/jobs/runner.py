@@ -9,6 +9,7 @@ workers, hangs on an item that ends its process with status 0, and on all items 
 killed while it sent its result.
 """
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -18,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from multiprocessing import connection
 from typing import Any, Generic, Protocol
@@ -30,6 +31,10 @@ from std_toolkit.options import JobOptions, usable_cores
 from std_toolkit.settings import in_force, use_only
 
 Call = Callable[[Any], Outcome[Any]]
+
+# Options of glibc's mallopt, and their values: 32 MiB is the most it takes for blocks.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_KEPT_BYTES, _KEPT_BLOCK_BYTES = 128 << 20, 32 << 20
 
 _LINE_S = 5.0
 """Where there is no terminal for a progress bar, at least this time lies between two lines."""
@@ -296,7 +301,20 @@ def _prepare_worker(width: int) -> None:
     threads = str(max(1, usable_cores() // width))
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(variable, threads)
+    keep_freed_memory()
     die_with_parent()
+
+
+def keep_freed_memory() -> None:
+    """Let this process reuse the memory of freed images; other C libraries than glibc do nothing.
+
+    By default glibc returns it to the system, which clears every page again for the next image: a
+    seventh of the time of scoring frames of 1280x720.
+    """
+    with suppress(AttributeError, OSError):
+        c_library = ctypes.CDLL(None)
+        c_library.mallopt(_M_MMAP_THRESHOLD, _KEPT_BLOCK_BYTES)
+        c_library.mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 def die_with_parent() -> None:

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import msgspec
@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn.functional import interpolate
 
-from benchmark.methods.depth.filling.filler import fill_nearest
+from benchmark.methods.depth.filling.filler import filled_prompt
 from benchmark.methods.network import narrow_type, parameter_count, torch_device
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
@@ -50,10 +50,18 @@ class _Config(msgspec.Struct, frozen=True):
     depth_estimation_type: str = "relative"
 
 
+_Side = Annotated[int, msgspec.Meta(ge=1)]
+
+
+class _Size(msgspec.Struct, frozen=True):  # processors of these models refuse `shortest_edge`
+    height: _Side
+    width: _Side
+
+
 class _Preparation(msgspec.Struct, frozen=True):
     """What is read of preprocessor_config.json; None where that of the published model holds."""
 
-    size: dict[str, int] | int | None = None
+    size: _Size | _Side | None = None
     ensure_multiple_of: float | None = None
     keep_aspect_ratio: bool | None = None
     image_mean: tuple[float, float, float] | None = None
@@ -127,9 +135,8 @@ class Snapshot(ABC):
             raise ToolkitError(
                 f"is no model of the type {self.model_type}",
                 path=folder / "config.json",
-                field="model_type",
-                value=self.config.model_type or "none",
-            )
+                field="model_type", value=self.config.model_type or "none",
+            )  # fmt: skip
         path = folder / "preprocessor_config.json"
         self.preparation = self._read(path, _Preparation) if path.is_file() else _Preparation()
         self.device = torch_device(options.device)
@@ -158,9 +165,8 @@ class Snapshot(ABC):
             from transformers import AutoModelForDepthEstimation
             from transformers.utils.logging import disable_progress_bar
         except ImportError as error:
-            raise ToolkitError(
-                "transformers is not installed", hint="pip install 'transformers>=5,<6'"
-            ) from error
+            told = "pip install 'transformers>=5,<6'"
+            raise ToolkitError("transformers is not installed", hint=told) from error
         disable_progress_bar()
         try:
             model = AutoModelForDepthEstimation.from_pretrained(
@@ -219,11 +225,10 @@ class Snapshot(ABC):
     def _size(self, height: int, width: int) -> tuple[int, int]:
         """(height, width) that an image is resized to, as the model's own processor does."""
         read = self.preparation
-        size = read.size if read.size is not None else self.size
-        if isinstance(size, dict):
-            wanted = [size.get("height", self.size[0]), size.get("width", self.size[1])]
-        else:
-            wanted = [size, size] if isinstance(size, int) else list(size)
+        wanted = self.size
+        if read.size is not None:
+            size = read.size
+            wanted = (size, size) if isinstance(size, int) else (size.height, size.width)
         multiple = int(read.ensure_multiple_of or self.multiple)
         scales = [wanted[0] / height, wanted[1] / width]
         keeps = self.keeps_aspect if read.keep_aspect_ratio is None else read.keep_aspect_ratio
@@ -283,17 +288,17 @@ def fit_line(predicted: NDArray[Any], known: NDArray[Any], where: Mask) -> tuple
         scale, shift: `scale * predicted + shift` is near `known`.
 
     Raises:
-        ToolkitError: fewer than 50 pixels, or a prediction without any structure.
+        ToolkitError: fewer than 50 pixels, a prediction without any structure, or one that would
+            have to be turned over: near for far.
     """
     x = np.asarray(predicted, np.float64)[where]
     y = np.asarray(known, np.float64)[where]
     if len(x) < _FEWEST or not np.ptp(x) > 0:
         raise ToolkitError(
             "too few measurements that their neighbours confirm, or a flat answer",
-            field="fit",
-            value=f"{len(x)} pixels",
+            field="fit", value=f"{len(x)} pixels",
             hint="--set fit=none with --protocol aligned-frame",
-        )
+        )  # fmt: skip
     kept = np.ones(len(x), bool)
     scale, shift = 1.0, 0.0
     for _ in range(_ROUNDS):
@@ -304,6 +309,12 @@ def fit_line(predicted: NDArray[Any], known: NDArray[Any], where: Mask) -> tuple
         if (within == kept).all() or within.sum() < _FEWEST:
             break
         kept = within
+    if scale <= 0:
+        raise ToolkitError(
+            "the prediction decreases where the measurements increase: no answer",
+            field="fit", value=f"scale {scale:.3g}",
+            hint="is depth_estimation_type in config.json that of the network?",
+        )  # fmt: skip
     return float(scale), float(shift)
 
 
@@ -377,21 +388,3 @@ class PromptDepthAnything(Snapshot):
             return np.zeros_like(view.depth)
         prompt = filled_prompt(view.depth, self.settings.holes)
         return self.to_depth(self.predict(view, prompt_depth=prompt[None, None]))
-
-
-def filled_prompt(depth: Floats, holes: Literal["nearest", "median"]) -> Floats:
-    """The sensor's depth without holes.
-
-    Args:
-        depth: (h, w) metres, 0 where nothing was measured, but not everywhere.
-        holes: what they are filled with: the nearest measurement, or the median of all.
-
-    Returns:
-        (h, w) float32 metres, of two values at least: the network divides by their range.
-    """
-    there = depth > 0
-    filled = fill_nearest(depth, ~there) if holes == "nearest" else depth.copy()
-    filled[filled == 0] = np.median(depth[there])
-    if np.ptp(filled) == 0:
-        filled[0, 0] *= np.float32(1 + 1e-6)
-    return filled.astype(np.float32)

@@ -69,15 +69,21 @@ class PairSums:
 
     @property
     def line(self) -> Line:
-        """The line with the least squares; that of equal predictions has the scale 0.
+        """The line with the least squares among those that do not turn near into far.
+
+        Papers solve without that bound, which scores inverse depth given as depth as if it were
+        right. Where their scale is negative, the best allowed one is 0: the mean true depth
+        everywhere, as for equal predictions.
 
         >>> PairSums.of(np.array([1.0, 2.0]), np.array([2.5, 4.5])).line
         Line(scale=2.0, shift=0.5)
+        >>> PairSums.of(np.array([1.0, 2.0]), np.array([4.5, 2.5])).line
+        Line(scale=0.0, shift=3.5)
         """
         if not self.count:
             return Line(0.0, 0.0)
         spread = self.pp - self.p * self.p / self.count
         scale = 0.0
         if spread > _SAME * self.pp:
-            scale = (self.pt - self.p * self.t / self.count) / spread
+            scale = max(0.0, (self.pt - self.p * self.t / self.count) / spread)
         return Line(scale, (self.t - scale * self.p) / self.count)

@@ -7,6 +7,7 @@ import pandas as pd
 
 from benchmark.metrics.depth.figures import COVERAGE, FIGURES
 from benchmark.published.load import (
+    GRADES,
     SPLIT_OF,
     SUBSETS_OF,
     cited,
@@ -15,6 +16,7 @@ from benchmark.published.load import (
     published_rows,
     published_sources,
 )
+from std_toolkit.html.page import Paragraph, Section, Terms
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 
 # Kinds of figures of each task of `std-bench`.
@@ -36,7 +38,7 @@ NOTE = "Figures as printed, in the order of print; compare only rows of one tabl
 
 
 def published_tables(
-    tasks: Iterable[str], *, dataset: str = "", without: Sequence[str] = ()
+    tasks: Iterable[str], *, dataset: str = "", without: Sequence[str] = (), only: str = ""
 ) -> list[Table]:
     """Return the published figures whose source a reader can open.
 
@@ -44,6 +46,7 @@ def published_tables(
         tasks: kinds of figures, see `TASKS`.
         dataset: only of this data set, as printed.
         without: protocols to leave out.
+        only: the only protocol.
 
     Returns:
         A table for each kind, data set and protocol (of speed, one for each source), with source
@@ -53,6 +56,8 @@ def published_tables(
     rows = rows[rows["task"].isin(tuple(tasks)) & ~rows["protocol"].isin(without)]
     if dataset:
         rows = rows[rows["dataset"] == dataset]
+    if only:
+        rows = rows[rows["protocol"] == only]
     speed = rows["task"] == _SPEED
     place = rows["dataset"].where(~speed, rows["table"])
     keys = [rows["task"], place, rows["protocol"]]
@@ -67,8 +72,47 @@ def other_protocols(tasks: Iterable[str], split: str, shown: Sequence[str]) -> l
         split: name of the split.
         shown: protocols of the leaderboards.
     """
-    dataset = next((printed for printed, ours in SPLIT_OF.items() if ours == split), "")
+    dataset = _printed_name(split)
     return published_tables(tasks, dataset=dataset, without=shown) if dataset else []
+
+
+def beside_board(tasks: Iterable[str], split: str, protocol: str) -> list[Section]:
+    """Return what is published on the frames of a leaderboard: by its protocol, then by others.
+
+    Args:
+        tasks: kinds of figures, see `TASKS`.
+        split: name of the split, whose frames must be the published ones.
+        protocol: of the leaderboard.
+    """
+    dataset = _printed_name(split)
+    if not dataset:
+        return []
+    kinds = tuple(tasks)
+    own = published_tables(kinds, dataset=dataset, only=protocol)
+    others = other_protocols(kinds, split, (protocol,))
+    told = Paragraph("Papers print these; nobody recomputed them here, and they are not ranked.")
+    title = "Published by other protocols, not comparable with the rows above"
+    return [
+        Section(anchor, heading, blocks)
+        for anchor, heading, blocks in (
+            ("published", f"Published, protocol {protocol}", [told, *own] if own else []),
+            ("published-others", title, others),
+        )
+        if blocks
+    ]
+
+
+def published_sections() -> list[Section]:
+    """Return all published figures, a section for each task, and what their grades mean."""
+    sections = [
+        Section(f"published-{task}", heading, published_tables(TASKS[task]))
+        for task, heading in (("depth", "Depth"), ("pose", "Poses"), ("grasp", "Grasping"))
+    ]
+    return [*sections, Section("trust", "Grades of sources", [Terms(GRADES)])]
+
+
+def _printed_name(split: str) -> str:
+    return next((printed for printed, ours in SPLIT_OF.items() if ours == split), "")
 
 
 def published_records(tasks: Iterable[str]) -> list[dict[str, object]]:

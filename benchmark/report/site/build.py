@@ -9,12 +9,13 @@ import pandas as pd
 
 from benchmark.evaluation.verification import read_grades
 from benchmark.published.citations import write_citations
+from benchmark.report.parts.published import TASKS, published_records
 from benchmark.report.site import pages
-from benchmark.report.site.entries import BoardKey, Entry
+from benchmark.report.site.entries import CITATION, BoardKey, Entry
 from benchmark.report.site.readers import collect
 from std_toolkit.io.atomic import write_bytes_atomic
 
-CSV, PARQUET = "results.csv", "results.parquet"
+CSV, PARQUET, PRINTED = "results.csv", "results.parquet", "published.csv"
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ def build_site(
     verified: Sequence[Path] = (),
     title: str = "Benchmark",
     pictures: bool = True,
+    published: bool = True,
 ) -> Site:
     """Write a site; pages of an earlier one that no longer exist are removed.
 
@@ -48,6 +50,7 @@ def build_site(
         verified: records of `std-bench verify` that are trusted.
         title: heading of the first page.
         pictures: show pictures of the runs.
+        published: show the figures that papers print.
 
     Raises:
         ToolkitError: results or records that cannot be read, or a file that cannot be written.
@@ -59,12 +62,19 @@ def build_site(
     methods: dict[str, list[Entry]] = {}
     for entry in sorted(entries, key=lambda e: e.method):
         methods.setdefault(entry.method, []).append(entry)
-    texts = {pages.INDEX: pages.index_page(title, boards).html()}
+    texts = {pages.INDEX: pages.index_page(title, boards, published=published).html()}
     for key, board in boards.items():
-        texts[pages.board_file(key)] = pages.board_page(key, board).html()
+        page = pages.board_page(key, board, published=published)
+        texts[pages.board_file(key)] = page.html()
     for name, mine in methods.items():
         page = pages.method_page(name, mine, pictures=pictures)
         texts[pages.method_file(mine[0])] = page.html()
+    if published:
+        texts[pages.PUBLISHED] = pages.published_page().html()
+        printed = pd.DataFrame(published_records(sum(TASKS.values(), ())))
+        texts[PRINTED] = printed.to_csv(index=False, lineterminator="\n")
+    for name in {pages.PUBLISHED, PRINTED} - set(texts):
+        (out / name).unlink(missing_ok=True)
     for name, text in texts.items():
         write_bytes_atomic(out / name, text.encode())
     for folder in (pages.BOARDS, pages.METHODS):
@@ -76,7 +86,9 @@ def build_site(
     buffer = BytesIO()
     table.to_parquet(buffer, index=False)
     write_bytes_atomic(out / PARQUET, buffer.getvalue())
-    write_citations(out, sorted({name for entry in entries for name in entry.uses}))
+    names = sorted({name for entry in entries for name in entry.uses})
+    said = (entry.facts.get(CITATION, "") for entry in entries)
+    write_citations(out, names, list(dict.fromkeys(filter(None, said))))
     return Site(out / pages.INDEX, len(boards), len(methods), len(entries))
 
 

@@ -12,6 +12,8 @@ from std_toolkit.html.table import Column
 
 # Value and ends of its 95 % interval over scenes.
 Figure = tuple[float, float, float]
+# Fact of predictions with a citation in their `submission.json`.
+CITATION = "to cite, as its author says"
 NOTHING: Figure = (float("nan"),) * 3
 
 
@@ -59,6 +61,8 @@ class Entry:
         folder: of the run.
         digest: of manifest and table.
         verified: what is known of the figures; None: only reported.
+        published_split: name of the split if the frames are the published ones.
+        published_tasks: kinds of published figures of the task.
         frames, scenes: numbers of those scored.
         speed: None if not measured.
     """
@@ -79,6 +83,8 @@ class Entry:
     speed_class: str = NOT_STATED
     speed: Speed | None = None
     verified: VerifiedRun | None = None
+    published_split: str = ""
+    published_tasks: Sequence[str] = ()
     owner: str = field(default="", compare=False)
 
     @property

@@ -14,6 +14,7 @@ from benchmark.evaluation.verification import GRADES
 from benchmark.published.citations import KEYS, entries
 from benchmark.report.leaderboard import COSTS
 from benchmark.report.parts.depth_tables import OBJECTS
+from benchmark.report.parts.published import beside_board, published_sections
 from benchmark.report.site.entries import NOTHING, BoardKey, Entry
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
@@ -33,7 +34,7 @@ from std_toolkit.html.page import (
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 from std_toolkit.io.documents import read_document
 
-INDEX, BOARDS, METHODS = "index.html", "boards", "methods"
+INDEX, PUBLISHED, BOARDS, METHODS = "index.html", "published.html", "boards", "methods"
 _CLASSES = {
     "cpu": "At most 1 s of 2 cores for a frame of 640x480.",
     "gpu": "On a GPU, or slower than 1 s on 2 cores.",
@@ -86,8 +87,8 @@ def classes_of(board: Sequence[Entry]) -> dict[str, list[Entry]]:
     return {c: ranked(mine) for c, mine in found.items() if mine}
 
 
-def index_page(title: str, boards: Mapping[BoardKey, Sequence[Entry]]) -> Page:
-    """Return the list of all boards."""
+def index_page(title: str, boards: Mapping[BoardKey, Sequence[Entry]], *, published: bool) -> Page:
+    """Return the list of all boards; `published`: with a link to the published figures."""
     rows = []
     for key, board in boards.items():
         for speed, mine in classes_of(board).items():
@@ -128,7 +129,8 @@ def index_page(title: str, boards: Mapping[BoardKey, Sequence[Entry]]) -> Page:
             "together only if task, content of the data, scored frames, protocol, class and series "
             "of the toolkit are the same."
         ),
-        Links([("results.csv", "results.csv"), ("results.parquet", "results.parquet"),
+        Links([*([("Published figures", PUBLISHED)] if published else []),
+               ("results.csv", "results.csv"), ("results.parquet", "results.parquet"),
                ("citations.bib", "citations.bib")]),
     ]  # fmt: skip
     listed = Table(
@@ -149,8 +151,15 @@ def index_page(title: str, boards: Mapping[BoardKey, Sequence[Entry]]) -> Page:
     return _page("Leaderboard", title, sections, intro)
 
 
-def board_page(key: BoardKey, board: Sequence[Entry]) -> Page:
-    """Return the page of one board: a table for each class and subset."""
+def published_page() -> Page:
+    """Return all published figures whose source a reader can open."""
+    intro = [Links([("All boards", INDEX)])]
+    return _page("Leaderboard", "Published figures", published_sections(), intro)
+
+
+def board_page(key: BoardKey, board: Sequence[Entry], *, published: bool) -> Page:
+    """Return the page of one board: a table for each class and subset; `published`: then what
+    papers print of the same frames."""
     sections = []
     for speed, mine in classes_of(board).items():
         subsets = dict.fromkeys(s for e in mine for s in e.figures)
@@ -172,8 +181,11 @@ def board_page(key: BoardKey, board: Sequence[Entry]) -> Page:
             "Rows without a rank lack an answer to a frame, or got ground truth."
         ))  # fmt: skip
     intro: list[Block] = [Links([("All boards", f"../{INDEX}")]), Terms(facts), *notes]
-    grades = Section("grades", "Grades", [Terms(GRADE_TERMS)])
-    return _page(key.task.capitalize(), key.title, [*sections, grades], intro)
+    sections.append(Section("grades", "Grades", [Terms(GRADE_TERMS)]))
+    split = board[0].published_split
+    if published and split:
+        sections += beside_board(board[0].published_tasks, split, key.protocol)
+    return _page(key.task.capitalize(), key.title, sections, intro)
 
 
 def _table(board: Sequence[Entry], subset: str, *, is_main: bool) -> Table:

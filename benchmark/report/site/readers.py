@@ -16,6 +16,7 @@ from benchmark.evaluation.manifest import (
     BopManifest,
 )
 from benchmark.evaluation.results import TABLE, Result, finished_folders, read_known, read_table
+from benchmark.evaluation.submission import Submission
 from benchmark.evaluation.tasks import bop_results, depth_results, grasp_results, pose_results
 from benchmark.evaluation.tasks.depth_speed import NOT_STATED
 from benchmark.evaluation.tasks.grasp_dump import PRECISIONS, DumpResult, read_dump_run
@@ -27,7 +28,9 @@ from benchmark.metrics.protocols.protocol import get_protocol, protocols
 from benchmark.report.leaderboard import BOARD, RANKED_BY
 from benchmark.report.parts import pose_board
 from benchmark.report.parts.depth_tables import MAIN_SUBSETS
+from benchmark.report.parts.published import TASKS
 from benchmark.report.site.entries import (
+    CITATION,
     NOTHING,
     BoardKey,
     Entry,
@@ -104,7 +107,31 @@ def _facts(result: Result[Any]) -> dict[str, str]:
         "frames come from": str(known.provenance),
         "scored on": _machine(manifest.hardware),
         "std-toolkit": manifest.version_of_tool,
+        **_said(result),
     }
+
+
+def _said(result: Result[Any]) -> dict[str, str]:
+    """What the run or the author of predictions says of the method, unchecked."""
+    said = result.said or Submission()
+    size = f" at {said.width}x{said.height}" if said.width and said.height else ""
+    machine = [said.hardware, said.device, f"{said.cores} cores" if said.cores else ""]
+    seconds = said.seconds_per_frame
+    facts = {
+        "trained on": result.training_data,
+        "predicted on, as its author says": ", ".join(filter(None, machine)),
+        "time per frame, as its author says": f"{seconds:g} s{size}" if seconds else "",
+        CITATION: said.citation,
+    }
+    return {name: text for name, text in facts.items() if text}
+
+
+def _published(result: Result[Any], task: str) -> dict[str, Any]:
+    """What says which published figures are of the same frames; nothing of a part of them."""
+    split = result.manifest.setup.split
+    if not result.data.is_published or result.frames < published_size(split):
+        return {}
+    return {"published_split": split, "published_tasks": TASKS[task]}
 
 
 def _machine(hardware: Mapping[str, str]) -> str:
@@ -145,6 +172,7 @@ def _depth(folders: Sequence[Path]) -> Iterator[Entry]:
             scenes=int(rows["scene"].nunique()),
             speed_class=result.speed_class,
             speed=result.speed,
+            **_published(result, "depth"),
         )  # fmt: skip
 
 
@@ -185,6 +213,7 @@ def _pose(folders: Sequence[Path]) -> Iterator[Entry]:
                 scenes=scenes,
                 is_bound=result.given_truth or setup.depth == pose_board.TRUE,
                 speed_class="gpu" if setup.device == "cuda" else NOT_STATED,
+                **_published(result, "pose"),
             )
 
 
@@ -310,6 +339,7 @@ def _dump(folders: Sequence[Path]) -> Iterator[Entry]:
                     result.data.record.digest if result.data.record else "not known",
                 "frames come from": str(result.data.provenance),
                 "std-toolkit": manifest.version_of_tool,
+                **_said(result),
             },
             uses=("graspnet",),
             folder=result.folder,

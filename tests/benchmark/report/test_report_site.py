@@ -17,12 +17,14 @@ from benchmark.evaluation.engine import run_all
 from benchmark.evaluation.query_options import VerifyOptions
 from benchmark.evaluation.tasks.depth_speed import Speed
 from benchmark.evaluation.verify import verify
+from benchmark.published.load import GRADES
+from benchmark.report.site import readers
 from benchmark.report.site.build import build_site
 from benchmark.report.site.pages import file_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
 from std_toolkit.jobs import JobOptions
-from tests.benchmark.evaluation.bench_set import SPLIT, a_run, write_split
+from tests.benchmark.evaluation.bench_set import SPLIT, a_run, published_as, write_split
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -143,6 +145,58 @@ def test_the_same_results_give_the_same_bytes(copies: Path) -> None:
     shutil.rmtree(copies / "one" / SPLIT / "telea")
     assert main(words) == 0
     assert file_of("methods", "telea").partition("/")[2] not in files()  # pages of no run go
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs on frames that count as published: all of them by two protocols, and a part."""
+    top = tmp_path_factory.mktemp("printed")
+    with published_as(4, 2):
+        root = write_split(top / "data", scenes=2, frames=2)
+        runs = [a_run(root, top / "one", "raw", protocol=p) for p in ("paper", "strict")]
+        runs.append(a_run(root, top / "part", "raw", protocol="paper", limit=2))
+        assert not run_all(runs, JOBS).failed
+    return top
+
+
+def test_published_rows_stand_beside_whole_published_sets(
+    printed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(readers, "published_size", lambda _: 4)
+    folders = [printed / "one", printed / "part"]
+    build_site(folders, tmp_path / "site")
+    pages = [p.read_text() for p in sorted((tmp_path / "site" / "boards").glob("*.html"))]
+    of = {(p, f): t for t in pages for p in ("paper", "strict") for f in ("4 frames", "2 of 4")
+          if f"protocol {p}: {f}" in t}  # fmt: skip
+    assert len(of) == len(pages) == 3
+    own, others = 'id="s-published"', 'id="s-published-others"'
+    paper, strict, part = (of[k] for k in (
+        ("paper", "4 frames"), ("strict", "4 frames"), ("paper", "2 of 4")
+    ))  # fmt: skip
+    assert own in paper and own not in strict and own not in part
+    assert others in paper and others in strict and others not in part
+    row = paper[paper.index(own) : paper.index(others)]
+    assert "SwinDRNet" in row and "paper text" in row and "arxiv.org/abs/" in row
+    assert "Manipulation as in Simulation" not in paper  # another data set
+    table = pd.read_csv(tmp_path / "site" / "published.csv")
+    assert (table["address"].notna() & table["trust"].isin(GRADES)).all()
+    build_site(folders, tmp_path / "site", published=False)
+    left = "".join(p.read_text() for p in (tmp_path / "site").rglob("*.html"))
+    assert "SwinDRNet" not in left and not (tmp_path / "site" / "published.csv").exists()
+
+
+def test_what_authors_say_is_on_the_page_of_the_method(copies: Path) -> None:
+    said = {"training_data": "own pictures", "hardware": "a board", "device": "gpu",
+            "seconds_per_frame": 0.25, "width": 640, "height": 480,
+            "citation": "@misc{me,\n  title = {Mine}\n}"}  # fmt: skip
+    for name in ("one", "two"):
+        folder = copies / name / SPLIT / "nearest" / "strict"
+        (folder / "submission.json").write_text(json.dumps(said))
+        site_of(copies)
+        page = (copies / "site" / file_of("methods", f"nearest ({name})")).read_text()
+        for text in ("own pictures", "a board, gpu", "0.25 s at 640x480", "title = {Mine}"):
+            assert text in page
+    assert (copies / "site" / "citations.bib").read_text().count("title = {Mine}") == 1
 
 
 @pytest.mark.parametrize("payload", PAYLOADS)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import sys
 import threading
 import time
 from pathlib import Path
+
+import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
@@ -94,3 +97,16 @@ def write_square(job: tuple[int, Path]) -> str:
     name = f"{x:03d}.txt"
     write_bytes_atomic(folder / name, f"{x * x}\n".encode() * 1000)
     return name
+
+
+def faults_of_images(_: int) -> int:
+    """Pages that the system cleared for images whose like were dropped before."""
+
+    def images() -> None:
+        _ = [np.ones(1 << 20) for _ in range(6)]
+
+    images()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(5):
+        images()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before

@@ -15,6 +15,7 @@ from scipy.ndimage import distance_transform_edt
 
 from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
+from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.plugins import configured
@@ -210,3 +211,21 @@ def fill_nearest(values: NDArray[Number], missing: NDArray[np.bool_]) -> NDArray
     """(h, w) values, those at missing pixels replaced by that of the nearest other pixel."""
     rows, columns = distance_transform_edt(missing, return_distances=False, return_indices=True)
     return values[rows, columns]
+
+
+def filled_prompt(depth: Floats, holes: Literal["nearest", "median"]) -> Floats:
+    """The sensor's depth without holes.
+
+    Args:
+        depth: (h, w) metres, 0 where nothing was measured, but not everywhere.
+        holes: what they are filled with: the nearest measurement, or the median of all.
+
+    Returns:
+        (h, w) float32 metres, of two values at least: the network divides by their range.
+    """
+    there = depth > 0
+    filled = fill_nearest(depth, ~there) if holes == "nearest" else depth.copy()
+    filled[filled == 0] = np.median(depth[there])
+    if np.ptp(filled) == 0:
+        filled[0, 0] *= np.float32(1 + 1e-6)
+    return filled.astype(np.float32)
