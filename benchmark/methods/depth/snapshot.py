@@ -28,7 +28,7 @@ from benchmark.methods.protocol import Restored, View
 from benchmark.methods.registry import MethodOptions
 from std_toolkit.arrays import Floats, Mask
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import read_document
+from std_toolkit.io.documents import InvalidDocument, read_document
 from std_toolkit.plugins import configured
 
 Array = NDArray[np.float64]
@@ -59,6 +59,23 @@ class _Preparation(msgspec.Struct, frozen=True):
     image_mean: tuple[float, float, float] | None = None
     image_std: tuple[float, float, float] | None = None
     do_pad: bool | None = None
+    do_resize: bool = True
+    do_rescale: bool = True
+    do_normalize: bool = True
+
+    def __post_init__(self) -> None:
+        size = (
+            {"height": self.size, "width": self.size} if isinstance(self.size, int) else self.size
+        )
+        hint = "the answer of a network depends on it; use the model's own preprocessor_config.json"
+        if size is not None and (set(size) != {"height", "width"} or min(size.values()) < 1):
+            raise InvalidDocument("not a height and a width", field="size", value=size, hint=hint)
+        for name in ("do_resize", "do_rescale", "do_normalize"):
+            if not getattr(self, name):
+                raise InvalidDocument("it must be on", field=name, value=False, hint=hint)
+        if self.ensure_multiple_of is not None and self.ensure_multiple_of < 1:
+            field, value = "ensure_multiple_of", self.ensure_multiple_of
+            raise InvalidDocument("not a number above 0", field=field, value=value, hint=hint)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +238,7 @@ class Snapshot(ABC):
         read = self.preparation
         size = read.size if read.size is not None else self.size
         if isinstance(size, dict):
-            wanted = [size.get("height", self.size[0]), size.get("width", self.size[1])]
+            wanted = [size["height"], size["width"]]
         else:
             wanted = [size, size] if isinstance(size, int) else list(size)
         multiple = int(read.ensure_multiple_of or self.multiple)
@@ -283,7 +300,8 @@ def fit_line(predicted: NDArray[Any], known: NDArray[Any], where: Mask) -> tuple
         scale, shift: `scale * predicted + shift` is near `known`.
 
     Raises:
-        ToolkitError: fewer than 50 pixels, or a prediction without any structure.
+        ToolkitError: fewer than 50 pixels, a prediction without any structure, or one that fits
+            only upside down.
     """
     x = np.asarray(predicted, np.float64)[where]
     y = np.asarray(known, np.float64)[where]
@@ -304,6 +322,13 @@ def fit_line(predicted: NDArray[Any], known: NDArray[Any], where: Mask) -> tuple
         if (within == kept).all() or within.sum() < _FEWEST:
             break
         kept = within
+    if scale <= 0:
+        raise ToolkitError(
+            "the answer grows where the measurements fall: no scale above 0 fits it to them",
+            field="fit",
+            value=f"scale {scale:.3g}",
+            hint="--set fit=none with --protocol aligned-frame",
+        )
     return float(scale), float(shift)
 
 

@@ -69,7 +69,9 @@ class PairSums:
 
     @property
     def line(self) -> Line:
-        """The line with the least squares; that of equal predictions has the scale 0.
+        """The line with the least squares whose scale is not negative.
+
+        The scale is 0 for equal predictions, and for those that grow where depth falls.
 
         >>> PairSums.of(np.array([1.0, 2.0]), np.array([2.5, 4.5])).line
         Line(scale=2.0, shift=0.5)
@@ -79,5 +81,5 @@ class PairSums:
         spread = self.pp - self.p * self.p / self.count
         scale = 0.0
         if spread > _SAME * self.pp:
-            scale = (self.pt - self.p * self.t / self.count) / spread
+            scale = max(0.0, (self.pt - self.p * self.t / self.count) / spread)
         return Line(scale, (self.t - scale * self.p) / self.count)

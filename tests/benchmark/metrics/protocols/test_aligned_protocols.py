@@ -54,9 +54,9 @@ def test_any_scale_and_shift_is_taken_back(scale: float, shift: float, seed: int
 
 def test_the_line_is_numpys_and_the_range_is_kept() -> None:
     frame = a_frame()
-    guess = RNG.uniform(1, 3, (126, 224)).astype(np.float32)
-    guess[:, ::3] = 0
     true = resize_nearest(frame.depth_true, (224, 126))
+    guess = (true + RNG.uniform(1, 3, true.shape)).astype(np.float32)
+    guess[:, ::3] = 0
     used = (true >= 0.3) & (true <= 1.5) & (guess > 0)
     scale, shift = np.polyfit(guess[used].astype(float), true[used].astype(float), 1)
     found = pair_sums(guess, frame.depth_true, FRAME)
@@ -77,9 +77,10 @@ def test_degenerate_predictions() -> None:
         errors = score_frame(none, frame, FRAME)[0].errors
         assert errors.coverage == 0 and errors.rel == 1
     assert PairSums().line == Line(0.0, 0.0)
-    # Nearer is larger, as disparity: least squares turn it round, and it fits badly.
+    # Nearer is larger, as disparity: it is not turned round, but scored as one flat answer.
     inverse = np.where(frame.depth_true > 0, 1 / np.maximum(frame.depth_true, 0.1), 0)
-    assert pair_sums(inverse.astype(np.float32), frame.depth_true, FRAME).line.scale < 0
+    line = pair_sums(inverse.astype(np.float32), frame.depth_true, FRAME).line
+    assert line.scale == 0 and 0.3 < line.shift < 1.5
 
 
 @pytest.fixture(scope="module")
