@@ -47,6 +47,8 @@ _TEXTS = {
 
 _LONGEST_NAME = 1000
 
+_AGAIN = "delete it and run the same command again"
+
 ERROR = "error"  # why the frame or the method failed; empty otherwise
 
 NOT_FINITE = "not_finite"  # pixels of the prediction that are NaN or infinite
@@ -73,16 +75,42 @@ def read_table(path: Path) -> pd.DataFrame:
     """Read a Parquet table of a run.
 
     Raises:
-        ToolkitError: it cannot be read.
+        ToolkitError: it cannot be read, a cell is neither text nor a number, or a column of text
+            holds something else.
     """
     try:
-        return pd.read_parquet(path, page_checksum_verification=True)
+        table = pd.read_parquet(path, page_checksum_verification=True)
     except Exception as error:  # pyarrow raises OSError, ValueError and classes of its own
         raise ToolkitError(
             f"cannot read the table: {' '.join(str(error).split())[:200]}",
             path=path,
-            hint="delete it and run the same command again",
+            hint=_AGAIN,
         ) from error
+    for name, column in table.items():
+        numbers = pd.api.types.is_numeric_dtype(column)
+        if isinstance(column.dtype, pd.StringDtype) or (numbers and name not in _TEXTS):
+            continue
+        kinds = (str,) if name in _TEXTS else (str, int, float, np.number)
+        wrong = (v for v in column if not (isinstance(v, kinds) or v is None or v is pd.NA))
+        value = next((v for v in wrong if not (isinstance(v, float) and np.isnan(v))), None)
+        if value is not None:
+            raise ToolkitError(
+                f"the column needs {'text' if name in _TEXTS else 'text or numbers'}",
+                path=path, field=str(name), value=str(value)[:40], hint=_AGAIN,
+            )  # fmt: skip
+    return table
+
+
+def check_rows_once(table: pd.DataFrame, path: Path) -> None:
+    """Check that no row is there twice; a pose that was found twice may be.
+
+    Raises:
+        ToolkitError: two rows are equal.
+    """
+    twice = table.duplicated()
+    if twice.any():
+        row = f"row {twice.idxmax()}"
+        raise ToolkitError("a row is there twice", path=path, field=row, hint=_AGAIN)
 
 
 def read_known(folder: Path) -> KnownData:
@@ -121,11 +149,11 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], path: Path) -> Non
         wrong = next(v for v in column if v is not None and not isinstance(v, int | float))
         raise ToolkitError("the column needs numbers", path=path, field=name, value=str(wrong)[:40])
     for name in counts:
-        below = table[name][~(table[name] >= 0)]
+        below = table[name][~((table[name] >= 0) & (table[name] % 1 == 0))]
         if len(below):
             raise ToolkitError(
-                "a count is 0 or more", path=path, field=f"{name} of row {below.index[0]}",
-                value=float(below.iloc[0]), hint="delete it and run the same command again",
+                "a count is a whole number, 0 or more", path=path,
+                field=f"{name} of row {below.index[0]}", value=float(below.iloc[0]), hint=_AGAIN,
             )  # fmt: skip
 
 

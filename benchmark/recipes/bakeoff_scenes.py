@@ -65,11 +65,12 @@ class _Recording:
 
     def frames(self) -> list[Frame]:
         """Frames that can be scored."""
-        if self.sprayed is not None:
-            return [f for f in self.scene.registered_frames() if f.depth is not None]
-        keys = self.labelled.keys()
-        names = {key.name for key in keys}
-        return [f for f in self.scene.frames if f.name in names]
+        names = {key.name for key in self.labelled.keys()}  # noqa: SIM118
+        if self.sprayed is None:
+            return [f for f in self.scene.frames if f.name in names]
+        found = [f for f in self.scene.registered_frames() if f.depth is not None]
+        # The objects of a frame without labels would count as what stands around them.
+        return [f for f in found if f.name in names] if names else found
 
     @property
     def objects(self) -> ObjectTable:
@@ -87,8 +88,6 @@ class _Recording:
             assert self.sprayed is not None and T_world_cam is not None
             camera = self.scene.camera(frame)
             true = self.sprayed.depth(camera, T_world_cam)
-            if len(self.labelled):  # the others have labels, and other ids
-                return true, np.zeros(true.shape, np.uint8)
             return true, self.sprayed.objects(true, camera, T_world_cam)
         loaded = self.labelled.load(index[frame.name], sensor=False)
         ids = np.where(loaded.mask != BACKGROUND, loaded.mask, 0).astype(np.uint8)

@@ -15,6 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, Protocol
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.html.templates import environment
 
 
@@ -124,21 +125,27 @@ class Picture:
     outlines: list[tuple[int, str]] = field(default_factory=list)
 
     @staticmethod
-    def read(path: Path, *, width: int = 1200, quality: int = 75) -> Picture:
+    def read(folder: Path, name: str, *, width: int = 1200, quality: int = 75) -> Picture:
         """A picture file as WebP, reduced if it is wider than `width`.
 
         Args:
-            path: an image file.
+            folder: of the picture; others may have written it.
+            name: of an image file in it.
             width: largest width in pixels.
             quality: quality of the compression, 0 to 100.
 
         Raises:
-            ToolkitError: it cannot be read.
+            ToolkitError: it is no file of the folder itself, or cannot be read.
         """
         import cv2
 
         from std_toolkit.io.images import read_color
 
+        path = folder / name
+        if Path(name).name != name or path.is_symlink():
+            raise ToolkitError(
+                "is no file of this folder", path=folder, field="picture", value=name
+            )
         image = cv2.cvtColor(read_color(path), cv2.COLOR_RGB2BGR)
         if image.shape[1] > width:
             size = (width, round(width * image.shape[0] / image.shape[1]))

@@ -70,6 +70,7 @@ class DepthSurvey:
         lone: numbers at the far end that may be marks.
         origin: who states the unit.
         notes: further sentences.
+        unread: why the first image cannot be read, if none can.
     """
 
     missing: Missing = field(default_factory=Missing)
@@ -82,11 +83,12 @@ class DepthSurvey:
     lone: tuple[float, ...] = ()
     origin: UnitOrigin = "guess"
     notes: tuple[str, ...] = ()
+    unread: ToolkitError | None = None
 
     def lines(self) -> list[str]:
         """The survey in sentences."""
         if self.median_m is None:
-            return ["depth: no measurement"]
+            return [f"depth: no image can be read: {self.unread}"]
         text = f"depth: median {self.median_m:.3g} m, {self.low_m:.3g} to {self.high_m:.3g} m "
         text += f"(1st to 99th percentile), {self.measured:.0%} of the pixels"
         said = {
@@ -176,9 +178,17 @@ def survey_depth(
             read has a measurement.
     """
     step = max(1, len(files) // _FRAMES)
-    chosen = [(f, stored) for f in files[::step][:_FRAMES] if (stored := _stored(f)) is not None]
+    chosen: list[tuple[DepthFile, NDArray[Any]]] = []
+    unread = None
+    for file in files[::step][:_FRAMES]:
+        try:
+            stored = read_stored_depth(file.path, size=file.size, two_bytes=file.two_bytes)
+        except ToolkitError as error:  # reported with its frame
+            unread = unread or error
+        else:
+            chosen.append((file, stored))
     if not chosen:
-        return DepthSurvey(origin=origin)  # damaged files are reported with their frames
+        return DepthSurvey(origin=origin, unread=unread)
     unit = next((f.unit for f, _ in chosen if f.unit is not None), None)
     floats = [_positive(values, marks) for _, values in chosen if values.dtype.kind == "f"]
     float_unit, notes = _float_unit(floats, stated)
@@ -204,13 +214,6 @@ def survey_depth(
         origin=origin,
         notes=notes,
     )
-
-
-def _stored(file: DepthFile) -> NDArray[Any] | None:
-    try:
-        return read_stored_depth(file.path, size=file.size, two_bytes=file.two_bytes)
-    except ToolkitError:
-        return None  # reported with its frame
 
 
 def _positive(values: NDArray[Any], marks: tuple[float, ...]) -> NDArray[Any]:

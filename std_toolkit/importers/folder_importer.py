@@ -68,9 +68,12 @@ class FolderImporter:
         size = _common_size(color)
         names = frame_names(list(color))
         known = [
-            Frame(id=i, name=names[k], color=f"color/{p.name}", timestamp=seconds.get(k))
+            Frame(
+                id=i, name=names[k], color=f"color/{safe_name(p.stem)}{p.suffix}",
+                timestamp=seconds.get(k),
+            )
             for i, (k, p) in enumerate(color.items())
-        ]
+        ]  # fmt: skip
         found = frame_cameras(request, known, list(color), size)
         stated = found.depth_unit
         warn_about_gaps(list(color))

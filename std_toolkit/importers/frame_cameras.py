@@ -25,6 +25,7 @@ from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.camera_documents import read_camera_document
 from std_toolkit.io.regular import read_text
 from std_toolkit.scene import Frame
+from std_toolkit.scene.document import safe_name
 
 # Images whose intrinsics agree to this share a camera of the scene; corners of a board are found
 # to about 0.1 px.
@@ -176,20 +177,20 @@ def _of_intrinsics(
     names = {Path(f.color).stem.lower() for f in frames} | {f.name.lower() for f in frames}
     if path.is_dir():
         found = [p for p in sorted(path.iterdir()) if p.suffix.lower() in _SUFFIXES]
-        if not any(p.stem.lower() in names for p in found):
+        if not any(safe_name(p.stem).lower() in names for p in found):
             raise errors.ToolkitError(
                 "no file of intrinsics in this folder has the name of an image",
                 path=path, hint="give the file, or --intrinsics fx,fy,cx,cy",
             )  # fmt: skip
     elif not path.is_file():
         return None
-    elif path.stem.lower() in names:
+    elif safe_name(path.stem).lower() in names:
         # Of one image: those of the others are beside it.
         beside = (p for p in path.parent.iterdir() if p.suffix == path.suffix)
-        found = sorted(p for p in beside if p.stem.lower() in names)
+        found = sorted(p for p in beside if safe_name(p.stem).lower() in names)
     else:
         return _in_document(path, size)
-    found = [p for p in found if p.stem.lower() in names]
+    found = [p for p in found if safe_name(p.stem).lower() in names]
     if len(found) == 1 and not path.is_dir():
         return None
     return _Rows(path, [_of_file(p, size, request.camera) for p in found], [p.stem for p in found])

@@ -11,6 +11,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
 from std_toolkit.poses.camera_table import FiledCameras
 from std_toolkit.scene import Frame
+from std_toolkit.scene.document import safe_name
 from std_toolkit.scene.time_stamps import stamps_of
 
 # Words of a file name that describe its content, not the frame.
@@ -106,7 +107,7 @@ def _best(
     times = stamps_of([_stem(k) for k in keys], stated=keys is filed.keys and filed.keys_are_times)
     ways: list[dict[int, int]] = [
         _joined(frames, keys, lambda f: f.color.rsplit("/")[-1], _file_name),
-        _joined(frames, keys, lambda f: f.name, _stem),
+        _joined(frames, keys, lambda f: f.name, lambda k: safe_name(_stem(k))),
         _joined(frames, keys, lambda f: _bare(f.name), lambda k: _bare(_stem(k))),
         _by_time(frames, times, max_dt),
         _by_number(frames, keys, None),

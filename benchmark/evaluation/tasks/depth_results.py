@@ -18,6 +18,7 @@ from benchmark.evaluation.results import (
     TABLE,
     Result,
     check_columns,
+    check_rows_once,
     find_runs,
     read_known,
     read_table,
@@ -191,6 +192,7 @@ def read_run(folder: Path) -> RunResult:
     """
     manifest = read_document(folder / MANIFEST, Manifest)
     table = read_table(folder / TABLE)
+    check_rows_once(table, folder / TABLE)
     # Runs of 0.1.0 lack some figures, which are then unknown.
     later = [n for n in ("within", "within_answered", *probes.NAMES) if n not in table]
     table = table.reindex(columns=[*table.columns, *later])

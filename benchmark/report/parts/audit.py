@@ -174,7 +174,7 @@ def _pictures(place: Path, audit: Audit) -> list[page.Block]:
         return []
     figures = [
         page.Figure(
-            page.Picture.read(place / PICTURES / x.picture, width=480),
+            page.Picture.read(place / PICTURES, x.picture, width=480),
             f"{x.scene} {x.frame} {x.object}: {x.reason}",
         )
         for x in shown

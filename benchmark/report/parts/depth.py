@@ -213,7 +213,7 @@ def _gallery_of(result: RunResult) -> Gallery | None:
 
 
 def _strip(result: RunResult, picture: str, caption: str) -> page.Figure:
-    return page.Figure(page.Picture.read(result.folder / FOLDER / picture), caption)
+    return page.Figure(page.Picture.read(result.folder / FOLDER, picture), caption)
 
 
 def _summary(board: leaderboard.Board) -> str:

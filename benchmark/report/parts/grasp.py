@@ -182,11 +182,10 @@ def _pictures(results: Sequence[grasp_results.GraspResult]) -> list[page.Block]:
         for index, number, outcome in zip(
             first[INDEX], first["attempt"], first["outcome"], strict=True
         ):
-            path = result.folder / STRIPS / strip_name(int(index), int(number))
-            if path.is_file():
-                shown.append(
-                    page.Figure(page.Picture.read(path), f"{scene_name(int(index))}: {outcome}")
-                )
+            folder, name = result.folder / STRIPS, strip_name(int(index), int(number))
+            if (folder / name).is_file():
+                picture = page.Picture.read(folder, name)
+                shown.append(page.Figure(picture, f"{scene_name(int(index))}: {outcome}"))
         if shown:
             title = f"{result.manifest.planner_label} on {result.manifest.depth_label} depth"
             blocks += [page.Heading(title), page.Gallery(shown)]

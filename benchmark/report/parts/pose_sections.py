@@ -166,7 +166,7 @@ def pose_gallery(board: PoseBoard) -> list[page.Block]:
                 found = f", {p.found} found" if p.found != p.objects else ""
                 caption = f"{result.name[1]} depth: {p.right} of {p.objects} within 10°5cm{found}"
                 picture = page.Picture.read(
-                    result.folder / pose_pictures.POSE_GALLERY / p.picture, width=640
+                    result.folder / pose_pictures.POSE_GALLERY, p.picture, width=640
                 )
                 frames.setdefault(f"{p.scene}/{p.frame}", []).append(page.Figure(picture, caption))
         inside: list[page.Block] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,22 @@ def test_truth_is_what_was_sprayed(pair: tuple[Path, Path], tmp_path: Path) -> N
         assert (ids[known] == SPRAYED_ID).all()
         off = (np.abs(above[..., 0] - 0.28) > 0.11) | (np.abs(above[..., 1] - 0.2) > 0.08)
         assert not ids[off].any()
+
+
+def test_frames_without_labels_are_left_out_where_others_have_them(
+    pair: tuple[Path, Path], tmp_path: Path
+) -> None:
+    whole = stage_scenes([pair[0]], tmp_path / "whole", 6, [pair[1]]).root / "glass"
+    root = tmp_path / "glass"
+    shutil.copytree(pair[0], root)
+    shutil.copy(whole / "objects.json", root)
+    for name in ("depth/000001.exr", "mask/000001.png"):
+        (root / "reference" / name).parent.mkdir(parents=True)
+        shutil.copy(whole / "reference" / name, root / "reference" / name)
+    staged = stage_scenes([root], tmp_path / "part", 6, [pair[1]]).root / "glass"
+    assert [f.name for f in Scene.open(staged).frames] == ["000001"]
+    ids = read_png(staged / "reference/mask/000001.png")
+    np.testing.assert_array_equal(ids, read_png(whole / "reference/mask/000001.png"))
 
 
 def test_the_better_method_by_sprayed_truth(

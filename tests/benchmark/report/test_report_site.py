@@ -18,6 +18,7 @@ from benchmark.evaluation.query_options import VerifyOptions
 from benchmark.evaluation.tasks.depth_speed import Speed
 from benchmark.evaluation.verify import verify
 from benchmark.published.load import GRADES
+from benchmark.report.page import make_parts, render_page
 from benchmark.report.site import readers
 from benchmark.report.site.build import build_site
 from benchmark.report.site.pages import file_of
@@ -245,6 +246,8 @@ def test_pictures_of_other_folders_are_not_shown(copies: Path) -> None:
     edit(gallery / "gallery.json", lead_out)
     with pytest.raises(ToolkitError, match="is no file of this folder"):
         site_of(copies)
+    with pytest.raises(ToolkitError, match="is no file of this folder"):
+        render_page(make_parts([copies / "one"], published=False))
 
 
 def test_names_of_pages() -> None:

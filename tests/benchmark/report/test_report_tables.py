@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -267,7 +268,31 @@ def test_counts_below_0_are_refused(results: Path, tmp_path: Path, column: str, 
     table.to_parquet(path)
     assert main([str(top)]) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert f"{path}: {column} of row 1: a count is 0 or more (got -5.0)" in line
+    assert f"{path}: {column} of row 1: a count is a whole number, 0 or more (got -5.0)" in line
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "told"),
+    [
+        ("images", lambda t: pd.concat([t, t]), "a row is there twice"),
+        ("images", lambda t: t.assign(grid=5), "grid: the column needs text"),
+        ("images", lambda t: t.assign(rmse=[[0.1]] * len(t)), "rmse: the column needs text or"),
+        ("images", lambda t: t.assign(index=t["index"] + 0.5), "index of row 0: a count is a"),
+        ("data", lambda t: t.assign(scene=-1), "scene: the column needs text"),
+        ("data", lambda t: t.assign(scene=[["a"]] * len(t)), "scene: the column needs text"),
+    ],
+    ids=["twice", "number", "list", "half", "scene", "scenes"],
+)
+def test_tables_of_other_cells_are_refused(
+    name: str, damage: Callable[[pd.DataFrame], pd.DataFrame], told: str, results: Path,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    top = tmp_path / "results"
+    shutil.copytree(results, top)
+    path = next(top.rglob(f"{name}.parquet"))
+    damage(pd.read_parquet(path)).to_parquet(path)
+    with pytest.raises(ToolkitError, match=rf"{name}\.parquet: .*{told}"):
+        read_results([top])
 
 
 def test_counts_below_0_in_documents_are_refused(results: Path, tmp_path: Path, capsys) -> None:

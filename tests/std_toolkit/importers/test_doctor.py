@@ -57,6 +57,13 @@ def test_what_would_stop_the_import(recording: Path) -> None:
     assert "1 without depth" in rows(report, "refused")
 
 
+def test_depth_that_no_reader_takes(recording: Path) -> None:
+    for path in (recording / "depth").iterdir():
+        write_png(path, np.full((H, W), 90, np.uint8))
+    report = examine(ImportRequest(source=recording, name="d"))
+    assert report.is_refused and "must be a single-channel 16-bit PNG" in rows(report, "refused")
+
+
 def test_frames_without_a_pose(recording: Path) -> None:
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[1] = np.nan

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,6 +19,8 @@ from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_color, write_depth_png16
+from std_toolkit.poses.camera_file import read_cameras
+from std_toolkit.poses.frame_matching import match_frames
 from std_toolkit.scene import Scene
 
 SIZE = (64, 48)
@@ -73,6 +77,28 @@ def test_frames_come_in_natural_order(recording, tmp_path):
     summary = summarise(scene)
     assert summary.frames_with_depth == 10
     assert summary.next_command == f"std-curate poses {tmp_path / 'scene'}"
+
+
+@pytest.mark.parametrize("stem", ["a[{}]", "a {}", "图{}", "-a{}", "\u200e{}", "a\n{}"])
+def test_images_of_any_name(recording, tmp_path, stem):
+    """Their poses and intrinsics have their names."""
+    for path in sorted(recording.glob("*/*.png")):
+        path.rename(path.with_name(f"{stem.format(path.stem)}.png"))
+    stems = [p.stem for p in sorted((recording / "color").iterdir())]
+    poses = {f"{s}.png": [*np.eye(4).tolist()[:3], [0, 0, 0, 1]] for s in stems}
+    for i, pose in enumerate(poses.values()):
+        pose[0][3] = 0.1 * i
+    (tmp_path / "poses.json").write_text(json.dumps(poses))
+    asked = request(recording)
+    scene = import_recording(asked, tmp_path / "scene")
+    filed = read_cameras(tmp_path / "poses.json")
+    assert len(match_frames(filed, scene.frames)) == len(stems) == len(scene.frames) > 1
+    for stem in stems:
+        (tmp_path / "lens").mkdir(exist_ok=True)
+        text = json.dumps({"fx": 60 + stems.index(stem), "fy": 60, "cx": 31.5, "cy": 23.5})
+        (tmp_path / "lens" / f"{stem}.json").write_text(text)
+    each = import_recording(replace(asked, intrinsics=str(tmp_path / "lens")), tmp_path / "each")
+    assert len(each.info.cameras) == len(stems)
 
 
 def test_colour_alone(recording, tmp_path):
