@@ -110,6 +110,7 @@ def extract_features(
             key=lambda job: job.name,
             options=options,
         ).raise_if_failed()
+        _extractor.cache_clear()  # it holds the pyramids of its last image
 
 
 def load_features(folder: Path, name: str) -> Features:

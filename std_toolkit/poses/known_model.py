@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -110,7 +111,7 @@ def reconstruct_known(
     images = [
         mapping.MappingImage(
             image_id=image_id_of(f), name=f.color, camera=f.camera,
-            features=loaded[f.id],
+            features=partial(features.load_features, cache / "features", names[f.id]),
         )
         for f in keyframes
     ]  # fmt: skip
@@ -243,7 +244,8 @@ def _extract(
 
 
 def _describe(loaded: dict[int, Any], options: PoseOptions) -> tuple[Any, dict[int, Any]]:
-    count = sum(len(x.descriptors) for x in loaded.values())
+    every = [x.descriptors for x in loaded.values()]
+    count = sum(map(len, every))
     fewest = KnownPosesSettings.current().fewest_features
     if count < (fewest if options.known.cameras_unchecked else 100):
         raise errors.ToolkitError(
@@ -251,9 +253,7 @@ def _describe(loaded: dict[int, Any], options: PoseOptions) -> tuple[Any, dict[i
             hint="put textured objects into view (a printed cloth is enough), focus, add light; or "
             "keep the poses with --cameras-unchecked",
         )
-    vocabulary = features.train_vocabulary(
-        [x.descriptors for x in loaded.values()], seed=options.seed
-    )
+    vocabulary = features.train_vocabulary(every, seed=options.seed)
     return vocabulary, {
         f: features.describe_image(x.descriptors, vocabulary) for f, x in loaded.items()
     }

@@ -1,6 +1,6 @@
 """Mapping of the keyframes with COLMAP: verified matching, mapping, bundle adjustment."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,19 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
 from std_toolkit.log import logger
 from std_toolkit.options import Mapper, PoseOptions, Refinement
-from std_toolkit.poses.colmap import quiet_colmap, to_colmap_camera, to_colmap_pixels
+from std_toolkit.poses.colmap import (
+    quiet_colmap,
+    return_free_memory,
+    to_colmap_camera,
+    to_colmap_pixels,
+)
 from std_toolkit.poses.features import Features
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # From this number of images the conjugate gradient method is faster than a factorisation.
 _DIRECT_IMAGES = 150
+# Pairs that are matched at a time; those of neighbours share their images.
+_BLOCK_PAIRS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +50,13 @@ class MappingImage:
         image_id: COLMAP image id, at least 1.
         name: unique name.
         camera: camera key.
-        features: features of the image.
+        features: reads the features of the image; those of all images would take much memory.
     """
 
     image_id: int
     name: str
     camera: str
-    features: Features
+    features: Callable[[], Features]
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,7 @@ def match_keyframes(
         pycolmap.set_random_seed(options.seed)
         _write_database(database, images, cameras, camera_ids, distorted=distorted)
         _match(database, images, pairs, work, threads=_threads(options), seed=options.seed)
+    return_free_memory()
     return database, camera_ids
 
 
@@ -142,6 +150,7 @@ def map_database(database: Path, work: Path, *, options: PoseOptions) -> list[An
     with quiet_colmap():
         pycolmap.set_random_seed(options.seed)
         models = _map(database, work, options, _threads(options))
+    return_free_memory()
     ranked = sorted(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()))
     return [m for m in ranked if m.num_reg_images() >= 2]
 
@@ -171,6 +180,7 @@ def adjust(
             pycolmap.bundle_adjustment(model, options)
             manager = pycolmap.ObservationManager(model)
             manager.filter_all_points3D(limits.largest_error_px, limits.wide_angle_deg)
+            return_free_memory()
         model.update_point_3d_errors()
 
 
@@ -262,14 +272,13 @@ def _write_database(
             database.write_frame(frame, use_frame_id=True)
             entry.frame_id = image.image_id
             database.write_image(entry, use_image_id=True)
-            keypoints = image.features.keypoints.copy()
+            found = image.features()
+            keypoints = found.keypoints.copy()
             keypoints[:, :2] = to_colmap_pixels(keypoints[:, :2])
             database.write_keypoints(image.image_id, keypoints)
             database.write_descriptors(
                 image.image_id,
-                pycolmap.FeatureDescriptors(
-                    pycolmap.FeatureExtractorType.SIFT, image.features.descriptors
-                ),
+                pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, found.descriptors),
             )
 
 
@@ -289,6 +298,8 @@ def _match(
     matching.num_threads = threads
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = listed
+    # COLMAP keeps the descriptors and search trees of the images of a block in memory.
+    pairing.block_size = _BLOCK_PAIRS
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     # This filter would remove spots on the lens but not walking people, who are never stationary

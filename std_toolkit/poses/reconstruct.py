@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from std_toolkit.poses.colmap import (
     from_colmap_camera,
     image_id_of,
     quiet_colmap,
+    return_free_memory,
 )
 from std_toolkit.poses.features import (
     FeatureJob,
@@ -182,7 +184,7 @@ def _build_exhaustively(
                 image_id=image_id_of(f),
                 name=f.color,
                 camera=f.camera,
-                features=load_features(features, names[f.id]),
+                features=partial(load_features, features, names[f.id]),
             )
             for f in frames
         ]
@@ -239,11 +241,15 @@ def _build_sequentially(
     pairs = choose_pairs(
         [vectors[f.id] for f in keyframes], overlap=options.overlap, loops=options.loops
     )
+    del loaded
     logger.info("camera poses: mapping keyframes, %d image pairs", len(pairs))
     mapping = map_keyframes(
         [
             MappingImage(
-                image_id=image_id_of(f), name=f.color, camera=f.camera, features=loaded[f.id]
+                image_id=image_id_of(f),
+                name=f.color,
+                camera=f.camera,
+                features=partial(load_features, features, names[f.id]),
             )
             for f in keyframes
         ],
@@ -299,6 +305,8 @@ def _build_sequentially(
             uv=load_features(features, names[frame.id]).uv[found.keypoint],
             point_ids=found.point_ids,
         )
+    del index, vectors, report
+    return_free_memory()
     adjust(
         model,
         refine=options.refine,

@@ -172,7 +172,10 @@ def register_frames(
     call = partial(
         _register, index_path=index_path, features=features, min_points=min_points, seed=seed
     )
-    return run_jobs(call, list(jobs), name="register", key=lambda j: j.name, options=options)
+    report = run_jobs(call, list(jobs), name="register", key=lambda j: j.name, options=options)
+    _load_index.cache_clear()
+    _keyframe_descriptors.cache_clear()
+    return report
 
 
 def _register(

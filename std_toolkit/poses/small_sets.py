@@ -169,7 +169,7 @@ def explained_matches(
         matches: result of `verified_matches`.
         order: position of each image id in the set; the first follows the last.
     """
-    uv = {x.image_id: x.features.uv for x in images}
+    uv = {x.image_id: x.features().uv for x in images}
     poses = {
         i: from_rigid3d(model.image(i).cam_from_world()).inverse() for i in model.reg_image_ids()
     }

@@ -7,6 +7,7 @@ background contradict the board and are left out.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -96,10 +97,11 @@ def _matches(
         max_features=max_features,
         options=jobs,
     )
-    loaded = [load_features(folder, n) for n in names]
     images = [
-        MappingImage(image_id=i + 1, name=f"{i:04d}", camera="photo", features=f)
-        for i, f in enumerate(loaded)
+        MappingImage(
+            image_id=i + 1, name=n, camera="photo", features=partial(load_features, folder, n)
+        )
+        for i, n in enumerate(names)
     ]
     pairs = _pairs(len(paths), poses)
     logger.info("camera poses: matching %d pairs of photos", len(pairs))
@@ -109,7 +111,7 @@ def _matches(
     database, _ = match_keyframes(images, pairs, {"photo": camera}, matching, options=PoseOptions())
     found = [(a - 1, b - 1, m) for a, b, m in verified_matches(database)]
     shutil.rmtree(matching, ignore_errors=True)
-    return {i: f.uv for i, f in enumerate(loaded)}, found
+    return {i: load_features(folder, n).uv for i, n in enumerate(names)}, found
 
 
 def _pairs(count: int, poses: dict[int, SE3]) -> list[tuple[int, int]]:
