@@ -23,7 +23,7 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # From this number of images the conjugate gradient method is faster than a factorisation.
 _DIRECT_IMAGES = 150
-# Pairs that are matched at a time; those of neighbours share their images.
+# Pairs that are matched at a time; COLMAP's default is 1225. Neighbours share their images.
 _BLOCK_PAIRS = 100
 
 
@@ -298,7 +298,7 @@ def _match(
     matching.num_threads = threads
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = listed
-    # COLMAP keeps the descriptors and search trees of the images of a block in memory.
+    # COLMAP keeps the descriptors and search trees of as many images as a block has pairs.
     pairing.block_size = _BLOCK_PAIRS
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
