@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import cv2
@@ -138,3 +140,101 @@ def test_scenes_of_the_toolkit_and_wrong_folders(
     write_scene(tmp_path / "scenes" / "a")
     assert main([*words, str(tmp_path / "mine"), "--data", str(tmp_path / "scenes")]) != 0
     assert "mine" in capsys.readouterr().err
+
+
+# What the scripts call of each package, as its README has it; each halves the sensor's depth.
+STAND_INS = {
+    "cdm": (
+        "rgbddepth/dpt.py",
+        """
+        class RGBDDepth:
+            def __init__(self, encoder, features, out_channels): assert encoder == "vitl"
+            def load_state_dict(self, state): assert list(state) == ["weight"]
+            def to(self, device): return self
+            def eval(self): return self
+            def infer_image(self, image, depth, input_size):
+                assert image.dtype == "uint8" and input_size == 518
+                return 2 * depth  # inverse
+        """,
+    ),
+    "lingbot_depth": (
+        "mdm/model/v2.py",
+        """
+        class MDMModel:
+            @classmethod
+            def from_pretrained(cls, path): return cls()
+            def to(self, device): return self
+            def eval(self): return self
+            def infer(self, image, depth_in, intrinsics):
+                assert image.shape[1] == 3 and 0.1 < image.max() <= 1
+                assert image.shape[2:] == depth_in.shape[1:]
+                assert 0.2 < intrinsics[0, 0, 2] < 0.8 and 0.2 < intrinsics[0, 1, 2] < 0.8
+                return {"depth": depth_in / 2}
+        """,
+    ),
+    "prior_da": (
+        "prior_depth_anything/__init__.py",
+        """
+        import torch
+        class PriorDepthAnything:
+            def __init__(self, device): pass
+            def infer_one_sample(self, image, prior, visualize):
+                assert image.dtype == "uint8" and not visualize
+                return torch.from_numpy(prior)[None, None] / 2
+        """,
+    ),
+    "da3": (
+        "depth_anything_3/api.py",
+        """
+        from types import SimpleNamespace
+        class DepthAnything3:
+            @classmethod
+            def from_pretrained(cls, path): return cls()
+            def to(self, device): return self
+            def eval(self): return self
+            def inference(self, image):
+                (color,) = image
+                return SimpleNamespace(depth=color[None, ..., 0] / 255)
+        """,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STAND_INS)
+def test_scripts_hand_over_what_their_packages_take(
+    name: str, tmp_path: Path, listed: list[dict[str, str]]
+) -> None:
+    """The packages and their weights are not here: a stand-in sees what the script gives it."""
+    import torch
+
+    path, text = STAND_INS[name]
+    module = tmp_path / "packages" / path
+    module.parent.mkdir(parents=True)
+    module.write_text(textwrap.dedent(text))
+    weights = tmp_path / "weights.pth"
+    torch.save({"model": {"module.weight": torch.zeros(1)}}, weights)
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / f"{name}.py", tmp_path / "todo" / "frames.csv", weights],
+        capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "packages")},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for row in listed:
+        found = np.load(row["out"])
+        color = cv2.imread(row["color"])[..., ::-1]
+        raw = cv2.imread(row["raw"], cv2.IMREAD_UNCHANGED) * np.float32(row["raw_unit_m"])
+        size = (color.shape[1], color.shape[0])
+        wanted = cv2.resize(raw, size, interpolation=cv2.INTER_NEAREST) / 2
+        if name == "da3":
+            wanted = color[..., 0] / 255
+        np.testing.assert_allclose(found, wanted, rtol=1e-5)
+        assert found.dtype == np.float32 and found.any()
+    first = Path(listed[0]["out"])
+    first.unlink()
+    kept = {row["out"]: Path(row["out"]).stat().st_mtime_ns for row in listed[1:]}
+    assert "not run" in (EXAMPLES / f"{name}.py").read_text().lower().replace("\n", " ")
+    assert subprocess.run(
+        [sys.executable, EXAMPLES / f"{name}.py", tmp_path / "todo" / "frames.csv", weights],
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "packages")},
+    ).returncode == 0  # fmt: skip
+    assert first.exists() and all(Path(p).stat().st_mtime_ns == t for p, t in kept.items())
