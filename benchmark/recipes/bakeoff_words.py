@@ -16,7 +16,7 @@ REGIONS = {
     "harm_background": "on the background",
     "harm_band": "around glass and metal",
 }
-_MIXED = "swindrnet"  # which std-restore asks only where glass or metal is found
+_MIXED = "swindrnet"  # of which std-restore takes a part by default
 
 
 def conclusion(verdict: Verdict) -> str:
@@ -48,7 +48,7 @@ def conclusion(verdict: Verdict) -> str:
         f"{_breaks(verdict, best)}.{cost}"
     )
     if best == _MIXED:
-        text += " `std-restore` does so by default."
+        text += " `std-restore --where glass` takes it where glass or metal is found."
     if whole is None:
         return f"{text} No other method breaks less."
     if whole.decided and whole.best == RAW:
