@@ -133,7 +133,8 @@ def test_maps_that_were_changed_are_refused(tmp_path, layout):
     scene = make_scene(tmp_path / "scene", frames=2)
     path = max((scene.root / "gt/mask").iterdir())
     write_png(path, np.full_like(read_png(path), 255))
-    with pytest.raises(ToolkitError, match=rf"not what was rendered.*gt/mask/{path.stem}\.png changed"):
+    told = rf"not what was rendered.*gt/mask/{path.stem}\.png changed"
+    with pytest.raises(ToolkitError, match=told):
         export_scene(scene, layout, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
