@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera, undistort_image
+from std_toolkit.jobs.artefact import changed_files
 from std_toolkit.rendering import choose, ground_truth, maps, placements
 from std_toolkit.rendering.renderer import image_window
 from std_toolkit.scene import Frame, Scene
@@ -60,11 +61,11 @@ def read_sensor_depth(scene: Scene, frame: Frame) -> NDArray[np.float32] | None:
 
 
 def check_fresh(scene: Scene, truth: ground_truth.FrameTruth) -> None:
-    """Check that ground truth belongs to the current state of the scene.
+    """Check that ground truth belongs to the current state of the scene, and was not changed.
 
     Raises:
-        ToolkitError: a label, camera, mesh or the scale of the depth changed after rendering, or
-            the depth cannot be read at all.
+        ToolkitError: a label, camera, mesh, the scale of the depth or a map changed after
+            rendering, or the depth cannot be read at all.
     """
     frame = scene.frame(truth.frame)
     if scene.info.depth_scale is None and frame.depth is not None and frame.depth.endswith(".png"):
@@ -76,6 +77,11 @@ def check_fresh(scene: Scene, truth: ground_truth.FrameTruth) -> None:
             field=f"frame {truth.frame}",
             hint="run `std-curate render` again",
         )
+    if changed := changed_files(scene.root, truth.outputs):
+        raise ToolkitError(
+            "the ground truth is not what was rendered", path=scene.root,
+            field=f"frame {truth.frame}", value=changed[0], hint="run `std-curate render` again",
+        )  # fmt: skip
 
 
 def frame_maps(

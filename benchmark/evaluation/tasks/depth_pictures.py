@@ -102,9 +102,10 @@ def gallery_frames(
     """
     grid, subset = main
     scored = table[(table["grid"] == grid) & (table["subset"] == subset) & (table[ERROR] == "")]
-    scored = scored[scored["n_pixels"] > 0].sort_values([RANKED_BY, INDEX], kind="stable")
-    if scored.empty:
+    scored = scored[scored["n_pixels"] > 0]
+    if scored.empty:  # a table of failed frames alone has no figures
         return []
+    scored = scored.sort_values([RANKED_BY, INDEX], kind="stable")
     value = dict(zip(scored[INDEX].tolist(), scored[RANKED_BY].tolist(), strict=True))
     order = scored[INDEX].to_numpy()
     places = {"best": 0, "median": (len(order) - 1) // 2, "worst": len(order) - 1}

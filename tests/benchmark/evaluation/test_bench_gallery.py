@@ -37,6 +37,11 @@ def rows(values: list[float], pixels: int = 9) -> pd.DataFrame:
     )
 
 
+def test_no_pictures_of_failed_frames_alone() -> None:
+    table = rows([0.1, 0.2]).drop(columns="rmse").assign(grid="", error="cannot be read")
+    assert gallery_frames(table, ("g", "all"), [0, 1]) == []
+
+
 def test_best_median_worst_and_what_all_show() -> None:
     shown = gallery_frames(rows([0.3, 0.1, 0.5, 0.2, 0.4]), ("g", "all"), [0, 2])
     assert shown == [

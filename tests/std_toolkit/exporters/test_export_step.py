@@ -20,6 +20,7 @@ from std_toolkit.exporters.staging import state_of
 from std_toolkit.exporters.std_exporter import StdExporter
 from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.images import read_png, write_png
 from std_toolkit.jobs import JobOptions
 from std_toolkit.scene import Labels, Scene
 from std_toolkit.scene.sidecar import SIDECAR_NAME, Sidecar
@@ -125,6 +126,17 @@ def test_overwrite_never_touches_a_folder_that_is_no_export(scene, tmp_path):
     with pytest.raises(ToolkitError, match="not an export"):
         export_scene(scene, "std", tmp_path, options=ExportOptions(overwrite=True))
     assert content(tmp_path).keys() == {"thesis.txt"}
+
+
+@pytest.mark.parametrize("layout", ["std", "bop", "nocs"])
+def test_maps_that_were_changed_are_refused(tmp_path, layout):
+    scene = make_scene(tmp_path / "scene", frames=2)
+    path = max((scene.root / "gt/mask").iterdir())
+    write_png(path, np.full_like(read_png(path), 255))
+    told = rf"not what was rendered.*gt/mask/{path.stem}\.png changed"
+    with pytest.raises(ToolkitError, match=told):
+        export_scene(scene, layout, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_stale_ground_truth_is_refused(tmp_path):
