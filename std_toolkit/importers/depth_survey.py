@@ -1,7 +1,8 @@
 """What the depth images of a recording say: median, range, unit, and what means "nothing".
 
 A few frames are read before all are written. A unit that is only guessed must give plausible
-distances; a unit that the user states is refused only where no sensor measures.
+distances; one that the user or a file of the recording states is refused only where no sensor
+measures.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class DepthSurveySettings(Settings):
     possible_m: tuple[float, float] = limit(
         (0.01, 30.0), unit="m", source="no RGB-D sensor has a median outside this range"
     )
-    """a median outside this range is refused for a unit that the user states, too"""
+    """a median outside this range is refused for a unit that is stated, too"""
 
 
 class GuessedUnit(ToolkitError):
@@ -174,8 +175,8 @@ def survey_depth(
 
     Raises:
         GuessedUnit: the unit was guessed, and another is more plausible.
-        ToolkitError: the unit of the format or of a file is implausible, or no image that can be
-            read has a measurement.
+        ToolkitError: the unit of the format is implausible, a stated one impossible, or no image
+            that can be read has a measurement.
     """
     step = max(1, len(files) // _FRAMES)
     chosen: list[tuple[DepthFile, NDArray[Any]]] = []
@@ -296,7 +297,7 @@ def _checked_median(
     is_float = all(v.dtype.kind == "f" for _, v in chosen)
     unit = missing.float_unit if is_float else (missing.unit or 1.0)
     low, high = limits.possible_m
-    if origin == "flag" and inside.size and low <= median <= high:
+    if origin in ("flag", "file") and inside.size and low <= median <= high:
         return median
     if origin == "flag" and inside.size:
         raise unit_error(median, unit, where, guessed=False, is_float=is_float)

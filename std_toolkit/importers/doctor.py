@@ -132,8 +132,10 @@ def _examine_recording(request: ImportRequest, format_name: str | None, report: 
         survey = survey_recording(recording, stated=request.depth_scale, missing=request.missing)
         if survey is not None:
             first, *others = survey.lines()
-            kind = "guessed" if survey.origin == "guess" else "read"
-            report.add("refused" if survey.unread is not None else kind, first)
+            if survey.unread is not None:
+                report.add("refused", first)
+            else:
+                report.add("guessed" if survey.origin == "guess" else "read", first)
             for line in others:
                 report.add("ignored" if "no measurement" in line else "read", line)
             for line in survey.doubts():
