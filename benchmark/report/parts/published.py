@@ -92,14 +92,12 @@ def beside_board(tasks: Iterable[str], split: str, protocol: str) -> list[Sectio
     others = other_protocols(kinds, split, (protocol,))
     told = Paragraph("Papers print these; nobody recomputed them here, and they are not ranked.")
     title = "Published by other protocols, not comparable with the rows above"
-    return [
-        Section(anchor, heading, blocks)
-        for anchor, heading, blocks in (
-            ("published", f"Published, protocol {protocol}", [told, *own] if own else []),
-            ("published-others", title, others),
-        )
-        if blocks
-    ]
+    sections = []
+    if own:
+        sections.append(Section("published", f"Published, protocol {protocol}", [told, *own]))
+    if others:
+        sections.append(Section("published-others", title, others))
+    return sections
 
 
 def published_sections() -> list[Section]:
