@@ -16,7 +16,7 @@ from benchmark.published.load import (
     published_rows,
     published_sources,
 )
-from std_toolkit.html.page import Block, Paragraph, Section, Terms
+from std_toolkit.html.page import Paragraph, Section, Terms
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table, number
 
 # Kinds of figures of each task of `std-bench`.
@@ -92,11 +92,12 @@ def beside_board(tasks: Iterable[str], split: str, protocol: str) -> list[Sectio
     others = other_protocols(kinds, split, (protocol,))
     told = Paragraph("Papers print these; nobody recomputed them here, and they are not ranked.")
     title = "Published by other protocols, not comparable with the rows above"
-    parts: tuple[tuple[str, str, Sequence[Block]], ...] = (
-        ("published", f"Published, protocol {protocol}", [told, *own] if own else []),
-        ("published-others", title, others),
-    )
-    return [Section(anchor, heading, blocks) for anchor, heading, blocks in parts if blocks]
+    sections = []
+    if own:
+        sections.append(Section("published", f"Published, protocol {protocol}", [told, *own]))
+    if others:
+        sections.append(Section("published-others", title, others))
+    return sections
 
 
 def published_sections() -> list[Section]:
