@@ -240,7 +240,8 @@ def _numbers(plain: Mapping[str, tuple[str, Any]], size: tuple[int, int] | None)
             raise ToolkitError("intrinsics are incomplete", field=name, hint="K, or fx fy cx cy")
     # As in transforms.json, pixels count from the corner of the first one.
     half = 0.5 if used["fx"] == "flx" else 0.0
-    return Intrinsics(values["fx"], values["fy"], values["cx"] - half, values["cy"] - half)
+    found = Intrinsics(values["fx"], values["fy"], values["cx"] - half, values["cy"] - half)
+    return _from_zero(found) if _is_matlab(plain) else found
 
 
 def _of_angle(
@@ -303,8 +304,11 @@ def _renamed_kannala(
     }
 
 
-def _is_matlab(plain: Mapping[str, tuple[str, Any]], K: Sequence[float]) -> bool:
-    """Whether a matrix is that of MATLAB's cameraParameters, which counts pixels from 1."""
+def _is_matlab(plain: Mapping[str, tuple[str, Any]], K: Sequence[float] = ()) -> bool:
+    """Whether numbers are of MATLAB's cameraParameters or cameraIntrinsics, which count pixels
+    from 1."""
+    if {"FocalLength", "PrincipalPoint", "ImageSize"} <= {key for key, _ in plain.values()}:
+        return True
     if "worldpoints" in plain or "numradialdistortioncoefficients" in plain:
         return True
     transposed = len(K) == 9 and K[2] == K[5] == 0

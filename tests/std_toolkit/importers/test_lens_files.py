@@ -148,6 +148,9 @@ READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "matlab counts pixels from 1": (json.dumps(
         {"IntrinsicMatrix": [[60, 0, 0], [0, 60, 0], [32.5, 24.5, 1]], "ImageSize": [48, 64],
          "RadialDistortion": FIVE[:2], "TangentialDistortion": FIVE[2:4]}), "opencv", FOUR),
+    "matlab's cameraIntrinsics, too": (json.dumps(
+        {"FocalLength": [60, 60], "PrincipalPoint": [32.5, 24.5], "ImageSize": [48, 64],
+         "RadialDistortion": FIVE[:2], "TangentialDistortion": FIVE[2:4]}), "opencv", FOUR),
     "y up, as ICL-NUIM": (json.dumps({"K": [60, 0, 31.5, 0, -60, 23.5, 0, 0, 1]}), "opencv", ()),
     "numbers as text": (json.dumps({k: str(v) for k, v in {**NUMBERS, **NAMED}.items()}),
                         "opencv", FIVE),
