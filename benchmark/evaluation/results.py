@@ -42,7 +42,7 @@ INDEX, SCENE, FRAME = "index", "scene", "frame"
 # Columns of text; all others hold numbers.
 _TEXTS = {
     SCENE, FRAME, "content", "digest", "error", "grid", "subset", "kind", "fate", "outcome",
-    "model", "found",
+    "model",
 }  # fmt: skip
 
 _LONGEST_NAME = 1000
@@ -75,8 +75,7 @@ def read_table(path: Path) -> pd.DataFrame:
     """Read a Parquet table of a run.
 
     Raises:
-        ToolkitError: it cannot be read, a cell is neither text nor a number, or a column of text
-            holds something else.
+        ToolkitError: it cannot be read, or a column of text holds something else.
     """
     try:
         table = pd.read_parquet(path, page_checksum_verification=True)
@@ -86,18 +85,15 @@ def read_table(path: Path) -> pd.DataFrame:
             path=path,
             hint=_AGAIN,
         ) from error
-    for name, column in table.items():
-        numbers = pd.api.types.is_numeric_dtype(column)
-        if isinstance(column.dtype, pd.StringDtype) or (numbers and name not in _TEXTS):
-            continue
-        kinds = (str,) if name in _TEXTS else (str, int, float, np.number)
-        wrong = (v for v in column if not (isinstance(v, kinds) or v is None or v is pd.NA))
-        value = next((v for v in wrong if not (isinstance(v, float) and np.isnan(v))), None)
-        if value is not None:
-            raise ToolkitError(
-                f"the column needs {'text' if name in _TEXTS else 'text or numbers'}",
-                path=path, field=str(name), value=str(value)[:40], hint=_AGAIN,
-            )  # fmt: skip
+    for name in _TEXTS & {*table}:
+        column = table[name]
+        if not isinstance(column.dtype, pd.StringDtype):
+            wrong = (v for v in column[column.notna()] if not isinstance(v, str))
+            if (value := next(wrong, None)) is not None:
+                raise ToolkitError(
+                    "the column needs text", path=path, field=name, value=str(value)[:40],
+                    hint=_AGAIN,
+                )  # fmt: skip
     return table
 
 

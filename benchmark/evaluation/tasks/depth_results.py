@@ -192,7 +192,6 @@ def read_run(folder: Path) -> RunResult:
     """
     manifest = read_document(folder / MANIFEST, Manifest)
     table = read_table(folder / TABLE)
-    check_rows_once(table, folder / TABLE)
     # Runs of 0.1.0 lack some figures, which are then unknown.
     later = [n for n in ("within", "within_answered", *probes.NAMES) if n not in table]
     table = table.reindex(columns=[*table.columns, *later])
@@ -200,6 +199,7 @@ def read_run(folder: Path) -> RunResult:
     if "grid" in table and (table["grid"] != "").any():
         needed += [*OVER_ALL, *OVER_ANSWERED, *probes.NAMES]
     check_columns(table, needed, folder / TABLE)
+    check_rows_once(table, folder / TABLE)
     names = (manifest.setup.split, manifest.setup.protocol, manifest.label)
     for place, (column, value) in enumerate(
         zip(("split", "protocol", "method"), names, strict=True)

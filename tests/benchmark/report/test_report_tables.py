@@ -276,7 +276,7 @@ def test_counts_below_0_are_refused(results: Path, tmp_path: Path, column: str, 
     [
         ("images", lambda t: pd.concat([t, t]), "a row is there twice"),
         ("images", lambda t: t.assign(grid=5), "grid: the column needs text"),
-        ("images", lambda t: t.assign(rmse=[[0.1]] * len(t)), "rmse: the column needs text or"),
+        ("images", lambda t: t.assign(rmse=[[0.1]] * len(t)), "rmse: the column needs numbers"),
         ("images", lambda t: t.assign(index=t["index"] + 0.5), "index of row 0: a count is a"),
         ("data", lambda t: t.assign(scene=-1), "scene: the column needs text"),
         ("data", lambda t: t.assign(scene=[["a"]] * len(t)), "scene: the column needs text"),
