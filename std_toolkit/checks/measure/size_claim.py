@@ -1,7 +1,7 @@
 """Whether a contour shows that an object has another size than its mesh, or something else.
 
-Edges that lie inside or outside of the whole outline, as a shade or a shine along it shows them, and
-an object of another shape look like another size, too.
+Edges that lie inside or outside of the whole outline, as a shade or a shine along it shows them,
+and an object of another shape look like another size, too.
 """
 
 from __future__ import annotations
