@@ -179,7 +179,10 @@ def _words(limits: Mapping[str, float]) -> str:
 
 def _fits_stricter(judgement: Judgement, now: Mapping[str, float]) -> bool:
     """Whether a label fits, and every limit that differs allows less than it does now."""
-    default = {f.name: f.default for f in fields(CheckOptions) if f.name.startswith("max_")}
+    usual = CheckOptions()
+    default: dict[str, float] = {
+        f.name: getattr(usual, f.name) for f in fields(usual) if f.name.startswith("max_")
+    }
     then = judgement.limits
     differing = [k for k in then.keys() | now.keys() if then.get(k) != now.get(k)]
     return judgement.grade == "fits" and all(

@@ -119,7 +119,7 @@ def shares_within(located: Located, mm: float, deg: float) -> Array:
 
 def disagree(a: Located, b: Located) -> bool:
     """Whether two sources differ by more than chance explains."""
-    from scipy.stats import chi2  # slow to load
+    from scipy.special import chdtri  # the inverse of chi square; scipy.stats loads for a second
 
     values, axes = np.linalg.eigh(a.covariance + b.covariance)
     # What neither knows, or a symmetry leaves open, is left out.
@@ -129,7 +129,7 @@ def disagree(a: Located, b: Located) -> bool:
     if not known.any():
         return False
     apart = (axes.T @ (a.motion - b.motion))[known]
-    return bool((apart**2 / values[known]).sum() > chi2.isf(limits.chance, int(known.sum())))
+    return bool((apart**2 / values[known]).sum() > chdtri(int(known.sum()), limits.chance))
 
 
 def located_by(value: Value | None) -> Located | None:

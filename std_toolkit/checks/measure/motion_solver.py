@@ -349,7 +349,7 @@ def _stretched(
         e = block.offsets - (J @ motion)[:, None]
         A += (J3 * weight.sum(axis=1)[:, None]).T @ J3
         b += J3.T @ (weight * e).sum(axis=1)
-    C = np.linalg.inv(A)
+    C: Array = np.linalg.inv(A).astype(np.float64)
     return motion[6] + (C @ b)[6:9], C[6:9, 6:9]
 
 

@@ -20,14 +20,10 @@ from std_toolkit.checks.measure.motion import (
     Support,
     pooled_support,
 )
-from std_toolkit.checks.measure.motion_solver import (
-    PRIOR_SIZE,
-    Motion,
-    solve_motion,
-    symmetry_motions,
-)
+from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
 from std_toolkit.checks.measure.residuals import FrameObservation, ObjectObservation
 from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_errors
+from std_toolkit.checks.measure.size_claim import is_claimed
 from std_toolkit.checks.result import ObjectCheck, ObjectFrameCheck, Value
 from std_toolkit.geometry.mesh import mesh_bounds
 from std_toolkit.options import CheckOptions
@@ -74,17 +70,6 @@ class ConfirmationSettings(Settings):
     )
     """a mesh of the right size brings at least this share of the contour onto edges that a
     wrong one leaves beside them; by material, nothing on others"""
-    size_odds: float = limit(3.0, source="as `checks.gates.hypotheses.noted_odds`")
-    """a size is claimed where it is more likely than a shade or another shape by this factor"""
-    shaded_odds: Mapping[str, float] = limit(
-        {"raw": 1.0, "specular": 1.0, "transparent": 1.0},
-        source="by argument: what shines has a shade along its outline as often as a wrong size",
-    )
-    """how much more often such objects have a shade along their outline than a wrong size"""
-    opaque_shaded_odds: float = limit(0.1, source="by argument: matt surfaces have few")
-    """the same on other materials"""
-    size_spread: float = limit(0.03, source="meshes of like objects differ by 1 to 3 %")
-    """deviation of sizes, and of sizes along one axis, that are wrong"""
     missed_std: float = limit(0.12, source=NOT_RECORDED)
     """a contour that is not there counts where its support is known to this deviation"""
     absent_part: float = limit(
@@ -205,10 +190,7 @@ def moved_item(
     if abs(sized.size) > limits.size_deviations * size_std:
         shaded = solve_motion(equations, free, shared=shared.shaded(), cameras=cameras)
         assert shaded is not None
-        shape = _shape_odds(sized, floor)
-        glossy = limits.shaded_odds.get(item.material, limits.opaque_shaded_odds)
-        edges = max(plain.evidence, shaded.evidence + float(np.log(glossy)))
-        if max(edges - _size_evidence(sized), shape) > -np.log(limits.size_odds):
+        if not is_claimed(plain, shaded, sized, item.material, floor):
             size_std = max(size_std, abs(sized.size))
     sized_beside = shared.beside(sized.errors)
     sized_support = pooled_support(equations, np.append(sized.vector, sized.size), sized_beside)
@@ -233,32 +215,6 @@ def moved_item(
             *_support_values(support, at_label, shown),
         ]
     )
-
-
-def _size_evidence(sized: Motion) -> float:
-    """The evidence with what is known of sizes that are wrong."""
-    spread = ConfirmationSettings.current().size_spread
-    assert sized.size is not None
-    squares = sized.size**2 * (1 / spread**2 - 1 / PRIOR_SIZE**2)
-    return sized.evidence - float(np.log(spread / PRIOR_SIZE) + 0.5 * squares)
-
-
-def _shape_odds(sized: Motion, floor: float) -> float:
-    """Log odds of three sizes, each along one axis of the object, against one.
-
-    Args:
-        sized: with the sizes along the axes.
-        floor: systematic deviation of a size.
-    """
-    variance = ConfirmationSettings.current().size_spread ** 2
-    assert sized.stretch is not None and sized.stretch_covariance is not None
-    known = sized.stretch_covariance + floor**2 * np.eye(3)
-    densities = []
-    for together in (np.eye(3), np.ones((3, 3))):
-        C = known + variance * together
-        square = sized.stretch @ np.linalg.solve(C, sized.stretch)
-        densities.append(-0.5 * float(square + np.linalg.slogdet(C)[1]))
-    return densities[0] - densities[1]
 
 
 def _drift_values(object_id: int, observed: Sequence[FrameObservation]) -> list[Value]:
