@@ -369,8 +369,9 @@ class Controller:
     def judge(self) -> LabelCheck:
         """The judge with what it has measured; made in the thread that needs it first."""
         from std_toolkit.checks.label_check import LabelCheck
+        from std_toolkit.scene.label_verdicts import options_of_last_check
 
-        return LabelCheck()
+        return LabelCheck(options_of_last_check(self.session.scene))
 
     @property
     def task(self) -> tasks.Task | None:

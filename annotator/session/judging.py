@@ -83,7 +83,7 @@ def stored_judgements(snapshot: Snapshot, labels: Labels) -> dict[str, Judged]:
         By name of the object.
     """
     found: dict[str, Judged] = {}
-    inputs: dict[int, str] = {}
+    inputs: dict[tuple[tuple[str, float], ...], dict[int, str]] = {}
     for obj in snapshot.state.objects:
         known: list[Judged] = []
         label, mine = labels.of(obj.id), snapshot.judgement(obj.name)
@@ -96,11 +96,13 @@ def stored_judgements(snapshot: Snapshot, labels: Labels) -> dict[str, Judged]:
             T = snapshot.T_world_obj(obj.name) if frame is None else snapshot.pose(obj.name, frame)
             if T is None:
                 continue
+            limits = judged.judgement.limits  # of its check, which holds here, too
             if snapshot.posed:
-                inputs = inputs or judgement_inputs(snapshot.scene)
-                now = inputs[obj.id]
+                key = tuple(sorted(limits.items()))
+                inputs[key] = inputs.get(key) or judgement_inputs(snapshot.scene, limits)
+                now = inputs[key][obj.id]
             else:
-                now = judgement_inputs(judged_scene(snapshot, frame or 0))[obj.id]
+                now = judgement_inputs(judged_scene(snapshot, frame or 0), limits)[obj.id]
             if judged.judgement.is_current(T, now):
                 found[obj.name] = judged
     return found

@@ -64,6 +64,7 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         depth_unit: stated metres per number of its files; 0 if their type tells it.
         released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
         probes: what the method was run again for: `holes`, `color`.
+        limits: of `std-restore` and of metrics that differ from the defaults, by name.
     """
 
     protocol: Name
@@ -72,6 +73,7 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth_unit: float = 0.0
     released_loader: Count = 0
     probes: list[str] = []
+    limits: dict[str, float] = {}
 
 
 class _Run(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

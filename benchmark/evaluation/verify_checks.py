@@ -21,7 +21,7 @@ from benchmark.evaluation.results import ERROR, FRAME, INDEX, SCENE, Result, che
 from benchmark.evaluation.tasks import depth_results, pose_results
 from benchmark.evaluation.tasks.pose_table import KIND, TRUE
 from benchmark.evaluation.verification import Check, CheckedFigure, State
-from benchmark.methods.registry import shipped_file
+from benchmark.methods.registry import JOINED, joined_digest, shipped_file
 from benchmark.metrics.depth.figures import COVERAGE, FIGURES
 from benchmark.metrics.pose import get_pose_protocol
 from benchmark.metrics.protocols.protocol import get_protocol, protocols
@@ -113,6 +113,10 @@ def check_weights(result: Result[Any], named: Mapping[str, Path]) -> Check:
     wanted = getattr(setup, "weights_sha256", "")
     if not wanted:
         return check("weights", "holds", "none")
+    joined = [shipped_file(m, setup.preset) for m in JOINED.get(setup.method, ())]
+    for files in (joined, joined[:1]):
+        if files and all(f.is_file() for f in files) and joined_digest(files) == wanted:
+            return check("weights", "holds", " and ".join(f.name for f in files))
     given = named.get(getattr(result.manifest, "label", "")) or named.get(setup.method)
     tried = [given] if given else [
         shipped_file(setup.method, setup.preset), Path(result.manifest.weights or "/nowhere")

@@ -240,6 +240,10 @@ def preset_of(presets: Mapping[str, Config], name: str) -> Config:
     return presets[name]
 
 
+# Methods that join others, and run these as they ship.
+JOINED = {"std-restore": ("swindrnet", "compactdr")}
+
+
 def shipped_file(method: str, preset: str) -> Path:
     """Where weights that come with the toolkit would be."""
     if method.startswith(COMMAND):
@@ -316,7 +320,7 @@ def preset_for(method: str, asked: str | None, weights: Path | None) -> str:
         return asked
     if weights is None:
         for preset in (COMPACT, SMALL):
-            if shipped_file(method, preset).is_file():
+            if all(shipped_file(m, preset).is_file() for m in JOINED.get(method, (method,))):
                 return preset
     return PUBLISHED
 
@@ -340,10 +344,15 @@ def weights_digest(name: str, method: object, options: MethodOptions) -> str:
     if weights is None and (shipped := shipped_file(name, options.preset)).is_file():
         weights = shipped
     if isinstance(weights, tuple):  # of the networks that a method joins
-        return digest_of(digest_files(weights[0].parent, weights), versioned=False)
+        return joined_digest(weights)
     if not isinstance(weights, Path):
         return ""
     if weights.is_dir():
         files = [p for s in ("*.json", "*.safetensors") for p in sorted(weights.glob(s))]
         return digest_of(digest_files(weights, files), versioned=False)
     return digest_file(weights)
+
+
+def joined_digest(files: Sequence[Path]) -> str:
+    """Hash of the weight files of a method that joins networks."""
+    return digest_of(digest_files(files[0].parent, files), versioned=False)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions, preset_for, shipped_file
+from benchmark.methods.registry import COMPACT, JOINED, MethodOptions, shipped_file
 from benchmark.restoring.options import MethodChoice, Where
-from benchmark.restoring.restorer import FINDER, Restorer
+from benchmark.restoring.restorer import Restorer
 from std_toolkit.errors import ToolkitError
 from std_toolkit.plugins import configured
 
@@ -32,6 +32,7 @@ class ByDefault:
 
     Attributes:
         weights: files of the networks that it ran.
+        network, device, parameter_count: of the networks, where torch runs them.
 
     Raises:
         ToolkitError: weights or a precision other than those of `std-restore`, an unknown setting,
@@ -50,17 +51,23 @@ class ByDefault:
                     "std-restore runs as it ships", field=field, value=str(given),
                     hint="--method swindrnet and compactdr take it",
                 )  # fmt: skip
-        if options.precision != "fp32":
-            raise ToolkitError(
-                "std-restore runs in fp32", field="--precision", value=options.precision
-            )
+        fixed = (("--precision", options.precision, "fp32"), ("--preset", options.preset, COMPACT))
+        for option, chosen, only in fixed:
+            if chosen != only:
+                raise ToolkitError(f"std-restore runs as {only}", field=option, value=chosen)
         where = configured(ByDefaultConfig(), options.settings).where
         choice = MethodChoice(where=where)
         self._restorer = Restorer.of(choice, device=options.device)
-        names = (choice.method, *((FINDER,) if where != "everywhere" else ()))
-        self.weights: tuple[Path, ...] = tuple(
-            shipped_file(name, preset_for(name, None, None)) for name in names
-        )
+        first, finder = JOINED["std-restore"]
+        names = (first,) if where == "everywhere" else (first, finder)
+        self.weights: tuple[Path, ...] = tuple(shipped_file(name, COMPACT) for name in names)
+        inner = [self._restorer.method]
+        if where != "everywhere":
+            inner.append(self._restorer.finder())
+        if any(hasattr(part, "network") for part in inner):  # of torch, which may use a GPU
+            self.network = [getattr(part, "network", None) for part in inner]
+            self.device = getattr(inner[0], "device", None)
+            self.parameter_count = sum(getattr(part, "parameter_count", 0) for part in inner)
 
     def restore(self, views: Sequence[View]) -> list[Restored]:
         """Restore views one by one, at their size; one without any measurement stays empty."""

@@ -111,7 +111,8 @@ class FrameToFuse:
                 np.clip(np.rint(f * rays[..., a] + o).astype(int), 0, n - 1)
                 for a, f, o, n in ((0, c.fx, c.cx, c.width), (1, c.fy, c.cy, c.height))
             )
-            depth, spread, where = depth[v, u], spread[v, u], where[v, u]
+            kept = ~restored.changed & (restored.depth > 0)  # rounding may take a neighbour's
+            depth, spread, where = depth[v, u], spread[v, u], where[v, u] & ~kept
         depth = np.where(where, depth, restored.depth)
         spread = np.where(where, spread, restored.spread)
         return replace(restored, depth=depth, spread=spread)

@@ -133,18 +133,32 @@ def _size(path: Path) -> int:
         return -1
 
 
-def _limits_of_last_check(scene: Scene) -> dict[str, float]:
-    """The limits on labels that differ from the defaults: of the last check, or in force."""
+def options_of_last_check(scene: Scene) -> CheckOptions:
+    """The options of the last check of a scene; the defaults if nothing tells of one."""
+    known = _last_check(scene)
+    return CheckOptions() if known is None else known[0]
+
+
+def _last_check(scene: Scene) -> tuple[CheckOptions, dict[str, float]] | None:
+    """Options of the last check, and its settings that differ from the defaults; None if nothing
+    tells of one: records may be deleted."""
     record = read_record(record_path(scene.root, "check"), Record)
     if record is None:
-        return judgement_limits()
+        return None
     names = {f.name for f in fields(CheckOptions)}
     try:
         options = CheckOptions(**{k: v for k, v in record.options.items() if k in names})
     except (ToolkitError, TypeError):  # another version wrote it
-        return judgement_limits()
-    groups = {k: v for k, v in record.options.items() if k.startswith(_GROUPS)}
-    return options.label_limits() | (changed(*_GROUPS) or groups)
+        return None
+    return options, {k: v for k, v in record.options.items() if k.startswith(_GROUPS)}
+
+
+def _limits_of_last_check(scene: Scene) -> dict[str, float] | None:
+    """The limits on labels that differ from the defaults: of the last check; None: not known."""
+    known = _last_check(scene)
+    if known is None:
+        return None
+    return known[0].label_limits() | (changed(*_GROUPS) or known[1])
 
 
 def _problem(
@@ -152,9 +166,12 @@ def _problem(
     object_id: int,
     judgement: Judgement | msgspec.UnsetType,
     subject: str,
-    limits: Mapping[str, float],
+    limits: Mapping[str, float] | None,
 ) -> str:
-    """Why nothing is known of a label; "" if the judgement holds."""
+    """Why nothing is known of a label; "" if the judgement holds.
+
+    Without limits of a last check the label has those that it was judged with, which are told.
+    """
     T_world_obj = scene.T_world_obj(object_id)
     if T_world_obj is None:
         return "the label is not propagated"
@@ -164,7 +181,7 @@ def _problem(
         return "its mesh, the frames or the camera poses changed after the check"
     if not judgement.is_current(T_world_obj, judgement.inputs):
         return "the label moved after the check"
-    if judgement.limits != limits and not _fits_stricter(judgement, limits):
+    if limits not in (None, judgement.limits) and not _fits_stricter(judgement, limits or {}):
         return f"it was judged with other limits than the last check ({_words(judgement.limits)})"
     return ""
 

@@ -52,6 +52,7 @@ from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.protocols.score import score_frame
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
+from std_toolkit.settings import changed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +165,7 @@ class Run(FrameRun[Restorer]):
             depth_unit=self.depth_unit or 0.0,
             released_loader=self.released_loader or 0,
             probes=sorted(self.probes),
+            limits=changed("benchmark.restoring.restorer.", "benchmark.metrics."),
         )
         return Manifest(
             label=self.label,

@@ -16,7 +16,7 @@ from benchmark import Restorer
 from benchmark.cli.bench import main as bench
 from benchmark.cli.restore import main as restore
 from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions, make_restorer, weights_digest
+from benchmark.methods.registry import MethodOptions, make_restorer, preset_for, weights_digest
 from benchmark.methods.training_data import training_data
 from benchmark.restoring.onnx_export import made_up_views
 from benchmark.restoring.options import MethodChoice, RestoreOptions
@@ -141,7 +141,7 @@ def test_missing_packages_are_named_with_the_command_to_install_them(monkeypatch
 SURE = """
 import numpy as np
 from benchmark.methods.protocol import Restored, View
-from benchmark.methods.registry import MethodOptions, make_restorer, weights_digest
+from benchmark.methods.registry import MethodOptions, make_restorer, preset_for, weights_digest
 from benchmark.methods.training_data import training_data
 
 
@@ -232,12 +232,13 @@ def test_it_is_the_default_of_swindrnet_alone():
 
 def test_the_benchmark_scores_what_is_written_by_default():
     view = View(COLOR, sensor_depth(), Camera(*SIZE, 96, 96, 47.5, 35.5))
-    method = make_restorer("std-restore")
+    method = make_restorer("std-restore", MethodOptions(preset="compact"))
     found, empty = method.restore([view, replace(view, depth=0 * view.depth)])
     written = Restorer.of(MethodChoice()).restore(COLOR, sensor_depth(), K)
     assert np.array_equal(found.depth, written.depth) and not empty.depth.any()
     assert np.array_equal(found.confidence, written.confidence)
-    alone = MethodOptions(settings={"where": "everywhere"})
+    assert preset_for("std-restore", None, None) == "compact"
+    alone = MethodOptions(preset="compact", settings={"where": "everywhere"})
     names = [
         {path.name for path in made.weights}
         for made in (method, make_restorer("std-restore", alone))
@@ -245,7 +246,8 @@ def test_the_benchmark_scores_what_is_written_by_default():
     assert names[0] == {"swindrnet-compact.safetensors", "compactdr-compact.safetensors"}
     assert names[1] == {"swindrnet-compact.safetensors"}
     digests = [weights_digest("std-restore", make_restorer("std-restore", o), o) for o in (
-        MethodOptions(), alone, MethodOptions(settings={"where": "glass"})
+        MethodOptions(preset="compact"), alone,
+        MethodOptions(preset="compact", settings={"where": "glass"}),
     )]  # fmt: skip
     assert digests[0] == digests[2] != digests[1]
     assert "; " in training_data("std-restore", method, MethodOptions())
@@ -255,8 +257,12 @@ def test_the_benchmark_scores_what_is_written_by_default():
     ("options", "told"),
     [
         (MethodOptions(weights=Path("x.safetensors")), "--weights: std-restore runs as it ships"),
-        (MethodOptions(precision="bf16"), "runs in fp32"),
-        (MethodOptions(settings={"where": "nowhere"}), "nowhere"),
+        (
+            MethodOptions(preset="compact", precision="bf16"),
+            "--precision: std-restore runs as fp32",
+        ),
+        (MethodOptions(preset="published"), "--preset: std-restore runs as compact"),
+        (MethodOptions(preset="compact", settings={"where": "nowhere"}), "nowhere"),
     ],
 )
 def test_the_benchmark_runs_it_as_it_ships(options, told):
