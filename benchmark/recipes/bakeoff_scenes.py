@@ -119,9 +119,13 @@ def stage_scenes(
     views: dict[FrameKey, str] = {}
     streams: dict[str, set[float]] = {}
     known = there = 0
+    chosen_of: dict[str, list[Frame]] = {}
     for name, source in sources.items():
-        scene, frames = source.scene, source.frames()
-        chosen = [frames[i] for i in chosen_frames(len(frames), each)]
+        frames = source.frames()
+        chosen_of[name] = [frames[i] for i in chosen_frames(len(frames), each)]
+        _check_same_frames(out / SCENES / name, chosen_of[name])
+    for name, source in sources.items():
+        scene, chosen = source.scene, chosen_of[name]
         with_truth, without = _stage(source, chosen, out / SCENES / name)
         known, there = known + with_truth, there + with_truth + without
         keys = [FrameKey(name, frame.name) for frame in chosen]
@@ -186,6 +190,20 @@ def _open(path: Path, twin: Path | None) -> _Recording:
             hint="label its objects, then `std-curate run` renders their depth",
         )
     return found
+
+
+def _check_same_frames(folder: Path, chosen: Sequence[Frame]) -> None:
+    """Check that earlier results there, if any, are of the same frames."""
+    if not (folder / "scene.json").is_file():
+        return
+    there = {frame.name for frame in Scene.open(folder).frames}
+    if there != {frame.name for frame in chosen}:
+        raise ToolkitError(
+            "the folder holds results of other frames of this recording",
+            path=folder,
+            value=f"{len(there)} frames, now {len(chosen)}",
+            hint="give the --limit of before, or another --out",
+        )
 
 
 def _check_no_others(folder: Path, names: set[str]) -> None:

@@ -78,6 +78,12 @@ def test_fewer_frames_than_the_recording_has(
     assert poses is not None and scored.poses is not None
     ids = {frame.id for frame in scored.frames}
     assert scored.poses.frames == [pose for pose in poses.frames if pose.frame in ids]
+    before = (tmp_path / "out" / "bakeoff.html").read_bytes()
+    assert main([*words[:-1], "5", *words_of("Poor", "Good")]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "other frames of this recording (got '8 frames, now 5'); give the --limit of" in line
+    assert len(Scene.open(tmp_path / "out" / "scenes" / rec.name).frames) == 8
+    assert (tmp_path / "out" / "bakeoff.html").read_bytes() == before
 
 
 @pytest.mark.parametrize(("first", "second"), [("Good", "Near"), ("Random", "OtherRandom")])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -252,6 +253,10 @@ def test_a_judgement_holds_for_its_limits(make_scene: Callable[[Toy], Scene]) ->
     assert [v.grade for v in found] == ["fits", "fits"]
     # The verdict says by which limits.
     assert "max_motion_mm 50" in found[0].line()
+    # So it does in a copy without the records, which may be deleted.
+    copy = scene.root.with_name("copy")
+    shutil.copytree(scene.root, copy, ignore=shutil.ignore_patterns(".std"))
+    assert [v.line() for v in label_verdicts(Scene.open(copy))] == [v.line() for v in found]
     wide = Scene.open(scene.root).labels
     # Evidence for wider limits than those of the present check says nothing.
     run_check(scene, OPTIONS, SERIAL)
