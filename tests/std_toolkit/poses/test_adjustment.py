@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import subprocess
-import sys
-
 import numpy as np
 import pycolmap
 import pytest
@@ -97,34 +93,3 @@ def test_the_iterative_solver_is_as_exact_as_a_direct_one(
     assert model.compute_mean_reprojection_error() == pytest.approx(
         direct.compute_mean_reprojection_error(), rel=0.01
     )
-
-
-@pytest.mark.slow
-def test_the_iterative_solver_takes_less_memory_than_a_direct_one() -> None:
-    iterative, direct = (adjusted_in_a_process(images) for images in (None, DIRECT))
-    print(iterative, direct)
-    assert iterative[0] < 0.6 * direct[0]
-    assert iterative[1] == pytest.approx(direct[1], rel=1e-3)
-
-
-def adjusted_in_a_process(direct_images: int | None) -> tuple[float, float]:
-    """Memory in MB that an adjustment of 500 images takes, and its reprojection error in pixels."""
-    call = f"from {__name__} import report; report({direct_images})"
-    done = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:0] = {sys.path!r}; {call}"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    mb, px = map(float, done.stdout.split()[-2:])
-    return mb, px
-
-
-def report(direct_images: int | None) -> None:
-    if direct_images is not None:
-        mapping._DIRECT_IMAGES = direct_images
-    model, _ = made(500, 500, 100)
-    options = mapping.adjustment_options(refine=Refinement.NONE, threads=1)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    pycolmap.bundle_adjustment(model, options)
-    taken = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    model.update_point_3d_errors()
-    print(taken * 1024 / 1e6, model.compute_mean_reprojection_error())
