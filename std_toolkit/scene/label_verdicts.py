@@ -181,9 +181,9 @@ def _problem(
         return "its mesh, the frames or the camera poses changed after the check"
     if not judgement.is_current(T_world_obj, judgement.inputs):
         return "the label moved after the check"
-    if limits not in (None, judgement.limits) and not _fits_stricter(judgement, limits or {}):
-        return f"it was judged with other limits than the last check ({_words(judgement.limits)})"
-    return ""
+    if limits is None or limits == judgement.limits or _fits_stricter(judgement, limits):
+        return ""
+    return f"it was judged with other limits than the last check ({_words(judgement.limits)})"
 
 
 def _by_limits(limits: Mapping[str, float]) -> str:
