@@ -28,7 +28,7 @@ from benchmark.methods.protocol import Restored
 from benchmark.metrics.protocols import get_protocol, score_frame
 from std_toolkit.io.exr import write_exr
 from std_toolkit.io.images import write_png
-from std_toolkit.jobs.runner import keep_freed_memory
+from std_toolkit.jobs.memory import keep_freed_memory
 
 # Split, size of ground truth, size of restored depth, protocol, frames/s wanted of two cores.
 CASES = (

@@ -9,7 +9,6 @@ workers, hangs on an item that ends its process with status 0, and on all items 
 killed while it sent its result.
 """
 
-import ctypes
 import multiprocessing
 import os
 import signal
@@ -19,22 +18,19 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field
 from multiprocessing import connection
 from typing import Any, Generic, Protocol
 
 from std_toolkit.errors import ToolkitError, is_interrupt
+from std_toolkit.jobs.memory import keep_freed_memory
 from std_toolkit.jobs.outcome import ATTEMPTS, Item, Outcome, Result, error_of, worker_died
 from std_toolkit.log import logger
 from std_toolkit.options import JobOptions, usable_cores
 from std_toolkit.settings import in_force, use_only
 
 Call = Callable[[Any], Outcome[Any]]
-
-# Options of glibc's mallopt, and their values: 32 MiB is the most it takes for blocks.
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_KEPT_BYTES, _KEPT_BLOCK_BYTES = 128 << 20, 32 << 20
 
 _LINE_S = 5.0
 """Where there is no terminal for a progress bar, at least this time lies between two lines."""
@@ -303,18 +299,6 @@ def _prepare_worker(width: int) -> None:
         os.environ.setdefault(variable, threads)
     keep_freed_memory()
     die_with_parent()
-
-
-def keep_freed_memory() -> None:
-    """Let this process reuse the memory of freed images; other C libraries than glibc do nothing.
-
-    By default glibc returns it to the system, which clears every page again for the next image: a
-    seventh of the time of scoring frames of 1280x720.
-    """
-    with suppress(AttributeError, OSError):
-        c_library = ctypes.CDLL(None)
-        c_library.mallopt(_M_MMAP_THRESHOLD, _KEPT_BLOCK_BYTES)
-        c_library.mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 def die_with_parent() -> None:

@@ -8,7 +8,6 @@ The operations add frames, set scale and world frame, and compute the quality of
 `Reconstructed` is a model of the registered frames of a scene.
 """
 
-import ctypes
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -108,17 +107,6 @@ def quiet_colmap() -> Iterator[None]:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
-
-
-def return_free_memory() -> None:
-    """Return free memory to the operating system, where the C library can.
-
-    glibc keeps the memory that threads have freed, and other threads cannot use it.
-    """
-    if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,11 @@ import pycolmap
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
+from std_toolkit.jobs.memory import return_free_memory
 from std_toolkit.log import logger
 from std_toolkit.options import Mapper, PoseOptions, Refinement
 from std_toolkit.poses.colmap import (
     quiet_colmap,
-    return_free_memory,
     to_colmap_camera,
     to_colmap_pixels,
 )

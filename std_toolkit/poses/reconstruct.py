@@ -13,6 +13,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.colmap_files import check_colmap_model
 from std_toolkit.io.documents import digest_file, digest_of, read_document, write_document
 from std_toolkit.jobs import JobOptions
+from std_toolkit.jobs.memory import return_free_memory
 from std_toolkit.log import logger
 from std_toolkit.options import PoseOptions
 from std_toolkit.poses import register
@@ -23,7 +24,6 @@ from std_toolkit.poses.colmap import (
     from_colmap_camera,
     image_id_of,
     quiet_colmap,
-    return_free_memory,
 )
 from std_toolkit.poses.features import (
     FeatureJob,
