@@ -1,8 +1,8 @@
 """`std-bench infer-list`: the frames of a split as a table, for programs of other environments.
 
 A program reads `frames.csv`, and for each row colour, raw depth and intrinsics; it writes depth to
-`out`. Colour is named where it lies. Raw depth is written anew, as 16-bit PNG of 0.1 mm, whatever
-the data set's own form: every library reads it.
+`out`. Colour is named where it lies, and so is the infrared pair where there is one. Raw depth is
+written anew, as 16-bit PNG of 0.1 mm, whatever the data set's own form: every library reads it.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.data.frame import DepthFrame
+from benchmark.data.infrared import InfraredSource
 from benchmark.data.splits import DepthSource, FrameKey, inputs_of, open_split
 from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.query_options import FRAME_LIST, InferListOptions
-from benchmark.methods.depth.command import frame_row, raw_units, write_frame_list
+from benchmark.methods.depth.command import INFRARED_COLUMNS, frame_row, raw_units, write_frame_list
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.jobs import run_jobs
@@ -47,7 +48,24 @@ class _Writer:
         write_png(raw, raw_units(frame.depth_raw))
         out = self.options.out / "predictions" / key.scene / f"{key.name}.npy"
         camera = frame.camera.resized(frame.color.shape[1], frame.color.shape[0])
-        return frame_row(key.scene, key.name, color, raw, camera, out)
+        row = frame_row(key.scene, key.name, color, raw, camera, out)
+        return row | (_infrared(source, index) if isinstance(source, InfraredSource) else {})
+
+
+def _infrared(source: InfraredSource, index: int) -> dict[str, str]:
+    """Cells of `INFRARED_COLUMNS`; none for a frame that has no calibrated pair."""
+    files = source.infrared_files(index)
+    if len(files) < 3 or not all(path.is_file() for path in files.values()):
+        return {}
+    pair = source.infrared(index)
+    images = (files["left infrared image"], files["right infrared image"])
+    camera = pair.camera
+    values = (
+        *(image.resolve() for image in images), camera.width, camera.height,
+        camera.fx, camera.fy, camera.cx, camera.cy, pair.baseline_m,
+        " ".join(map(str, pair.T_color_left.flat())),
+    )  # fmt: skip
+    return dict(zip(INFRARED_COLUMNS, map(str, values), strict=True))
 
 
 def _color_file(out: Path, key: FrameKey, frame: DepthFrame, found: object) -> Path:

@@ -29,6 +29,12 @@ COLUMNS = (
     "out",
 )  # fmt: skip
 
+# Further columns of a frame that has an infrared pair: T_color_left are 16 numbers, row-major.
+INFRARED_COLUMNS = (
+    "ir_left", "ir_right", "ir_width", "ir_height", "ir_fx", "ir_fy", "ir_cx", "ir_cy",
+    "baseline_m", "T_color_left",
+)  # fmt: skip
+
 # 6.5 m at 0.1 mm: what a camera of tables measures.
 RAW_UNIT_M = 1e-4
 _LARGEST = 65535
@@ -74,12 +80,14 @@ def frame_row(
 
 
 def write_frame_list(path: Path, rows: Sequence[dict[str, str]]) -> None:
-    """Write the list.
+    """Write the list; cells that only other rows have are empty.
 
     Raises:
         ToolkitError: the file cannot be written.
     """
-    write_csv_atomic(path, COLUMNS, rows)
+    infrared = INFRARED_COLUMNS if any(INFRARED_COLUMNS[0] in row for row in rows) else ()
+    columns = COLUMNS + infrared
+    write_csv_atomic(path, columns, [{name: row.get(name, "") for name in columns} for row in rows])
 
 
 class CommandRestorer:

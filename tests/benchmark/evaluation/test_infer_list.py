@@ -19,6 +19,8 @@ from benchmark.cli.bench import main
 from benchmark.data.splits import open_split
 from benchmark.evaluation.results import TABLE
 from benchmark.metrics.protocols import get_protocol, score_frame
+from std_toolkit.geometry import SE3
+from tests.benchmark.data.stereo_set import BASELINE_M, LEFT, plane_depth, write_stereo_scene
 from tests.benchmark.evaluation.bench_set import SPLIT, write_split
 from tests.scene_on_disk import write_scene
 
@@ -125,7 +127,7 @@ def test_the_container_names_files_that_are_there() -> None:
     assert re.search(r"^COPY plain_torch.py model.pt /$", text, re.MULTILINE)
     assert (EXAMPLES / "plain_torch.py").is_file()
     for path in EXAMPLES.glob("*.py"):
-        assert len(path.read_text().splitlines()) < 60
+        assert len(path.read_text().splitlines()) < (80 if path.stem == "frame_list" else 60)
 
 
 def test_scenes_of_the_toolkit_and_wrong_folders(
@@ -183,6 +185,20 @@ STAND_INS = {
                 return torch.from_numpy(prior)[None, None] / 2
         """,
     ),
+    "d3roma": (
+        "inference.py",
+        """
+        class D3RoMa:
+            def __init__(self, overrides, camera, variant):
+                assert variant == "rgb+raw" and "task.image_size=[360,640]" in overrides
+                assert camera.resolution == (360, 640)
+                self.camera = camera
+            def infer_with_rgb_raw(self, rgb, raw_depth):
+                assert rgb.dtype == "uint8" and raw_depth.shape == (360, 640)
+                assert 5 < self.camera.fxb_depth < 80  # pixels times metres at that size
+                return raw_depth / 2
+        """,
+    ),
     "da3": (
         "depth_anything_3/api.py",
         """
@@ -227,6 +243,8 @@ def test_scripts_hand_over_what_their_packages_take(
         wanted = cv2.resize(raw, size, interpolation=cv2.INTER_NEAREST) / 2
         if name == "da3":
             wanted = color[..., 0] / 255
+        if name == "d3roma":
+            wanted = cv2.resize(wanted, (640, 360), interpolation=cv2.INTER_NEAREST)
         np.testing.assert_allclose(found, wanted, rtol=1e-5)
         assert found.dtype == np.float32 and found.any()
     first = Path(listed[0]["out"])
@@ -238,3 +256,84 @@ def test_scripts_hand_over_what_their_packages_take(
         env=os.environ | {"PYTHONPATH": str(tmp_path / "packages")},
     ).returncode == 0  # fmt: skip
     assert first.exists() and all(Path(p).stat().st_mtime_ns == t for p, t in kept.items())
+
+
+def test_disparity_of_an_infrared_pair_becomes_depth_of_colour(tmp_path: Path) -> None:
+    """A stand-in knows the disparity of the plane: what the list and the loop do is exact then."""
+    data = tmp_path / "data"
+    write_stereo_scene(data / "DREDS-CatKnown" / "val" / "shapenet_generate_1216_val_novel" / "0")
+    todo = tmp_path / "todo"
+    words = ["--data", str(data), "--split", "dreds-catknown-val"]
+    assert main(["infer-list", *words, "--out", str(todo), "--engine", "serial"]) == 0
+    disparity = LEFT.fx * BASELINE_M / plane_depth(LEFT, SE3.identity())
+    np.save(tmp_path / "disparity.npy", disparity)
+    core = tmp_path / "packages" / "core"
+    (core / "utils").mkdir(parents=True)
+    (core / "foundation_stereo.py").write_text(
+        textwrap.dedent(f"""
+        import numpy as np, torch
+        class FoundationStereo(torch.nn.Module):
+            def __init__(self, config):
+                super().__init__()
+                assert config["vit_size"] == "vitl" and config["max_disp"] == 416
+                self.weight = torch.nn.Parameter(torch.zeros(1))
+            def forward(self, left, right, iters, test_mode):
+                assert left.shape == right.shape == (1, 3, 192, 320) and 1 < left.max() <= 255
+                assert (left != right).any() and iters == 32 and test_mode
+                found = torch.zeros(1, 1, 192, 320)
+                found[..., :180, :] = torch.tensor(np.load({str(tmp_path / "disparity.npy")!r}))
+                return found
+        """)
+    )
+    (core / "utils" / "utils.py").write_text(
+        textwrap.dedent("""
+        import torch
+        class InputPadder:
+            def __init__(self, shape, divis_by, force_square):
+                self.rows, self.more = shape[-2], -shape[-2] % divis_by
+            def pad(self, *images):
+                return [torch.nn.functional.pad(i, (0, 0, 0, self.more)) for i in images]
+            def unpad(self, image): return image[..., :self.rows, :]
+        """)
+    )
+    (tmp_path / "packages" / "omegaconf.py").write_text(
+        textwrap.dedent("""
+        class OmegaConf:
+            @staticmethod
+            def load(path):
+                return dict(line.split(": ") for line in path.read_text().splitlines()) | {
+                    "max_disp": 416}
+        """)
+    )
+    (tmp_path / "cfg.yaml").write_text("max_disp: 416\n")
+    import torch
+
+    torch.save({"model": {"weight": torch.zeros(1)}}, tmp_path / "weights.pth")
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / "foundation_stereo.py", todo / "frames.csv",
+         tmp_path / "weights.pth"],
+        capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "packages")},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    score = ["depth", *words, "--out", str(tmp_path / "out"), "--engine", "serial", "--no-gallery"]
+    assert main([*score, "--no-speed", "--method", f"fs={todo / 'predictions'}"]) == 0
+    table = pd.read_parquet(tmp_path / "out" / "dreds-catknown-val" / "fs" / "strict" / TABLE)
+    rows = table[(table["subset"] == "all") & (table["grid"] == "native")]
+    assert len(rows) == 2
+    # The nearest point lies up to half a pixel aside: 0.3 mm on this plane.
+    assert (rows["rmse_answered"] < 5e-4).all()
+    assert (rows["n_answered"] / rows["n_pixels"] > 0.85).all()
+
+
+def test_a_list_without_pairs_is_refused_by_the_loop(
+    tmp_path: Path, listed: list[dict[str, str]]
+) -> None:
+    assert "ir_left" not in listed[0]
+    code = (
+        f"import sys; sys.path.insert(0, {str(EXAMPLES)!r}); import frame_list; "
+        f"frame_list.fill_from_pair({str(tmp_path / 'todo' / 'frames.csv')!r}, None)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1 and "no infrared pair" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
