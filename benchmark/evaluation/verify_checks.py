@@ -52,7 +52,11 @@ def check_files(result: Result[Any]) -> Iterator[Check]:
         return
     missing, failed = max(0, result.missing), result.failed
     about = f"{result.frames - missing:,} of {result.frames:,} have rows"
-    yield check("frames", not missing, about + (f", {failed} failed" if failed else ""))
+    if failed == result.frames - missing:
+        about = "no frame was answered: the figures are empty"
+    elif failed:
+        about += f", {failed} failed"
+    yield check("frames", not missing, about)
     digest = getattr(setup, "frames_sha256", "")
     if digest:
         yield check("names", digest == names_digest(frame_keys(table)), "frames_sha256 of the rows")

@@ -260,8 +260,7 @@ def _published(rows: pd.DataFrame, results: Sequence[RunResult]) -> pd.DataFrame
     parts = []
     names = {r.place: r.manifest.setup.split for r in results if r.data.is_published}
     for place, protocol in rows[["split", "protocol"]].drop_duplicates().itertuples(index=False):
-        # No paper's figures are metric and aligned at once.
-        if place not in names or get_protocol(protocol).align:
+        if place not in names:
             continue
         grid, _ = get_protocol(protocol).main
         chosen = (rows["split"] == place) & (rows["protocol"] == protocol) & (rows["grid"] == grid)

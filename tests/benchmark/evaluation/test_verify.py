@@ -83,6 +83,13 @@ def test_without_data_only_the_files_are_checked(scored: tuple[Path, Path]) -> N
         ask(out, sample=3)
 
 
+def test_a_run_without_any_answer_is_told(scored: tuple[Path, Path]) -> None:
+    root, out = scored
+    run = a_run(root, out, f"{METHODS}:Failing", gallery=False)
+    run_all([run], JOBS)
+    assert about(of(verify(ask(out)).runs, "Failing"), "frames").startswith("no frame was answered")
+
+
 def test_a_row_that_was_improved_is_found(scored: tuple[Path, Path]) -> None:
     root, out = scored
     path = out / SPLIT / "nearest" / "strict" / TABLE

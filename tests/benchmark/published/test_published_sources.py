@@ -162,6 +162,22 @@ def test_published_rows_stand_only_under_their_protocol(tmp_path: Path) -> None:
     assert "published" not in [s.anchor for s in bare.sections]
 
 
+def test_published_rows_stand_beside_a_run_under_an_aligned_protocol(tmp_path: Path) -> None:
+    root = write_split(tmp_path / "data", scenes=2, frames=2)
+    run = a_run(root, tmp_path / "r", "nearest", gallery=False, protocol="aligned-clip")
+    with published_as(4, 2):
+        run_all([run], JobOptions(engine="serial", progress=False))
+    board = make_board(read_results([tmp_path / "r"]), samples=20)
+    printed = board.rows[board.rows["kind"] == PUBLISHED].set_index("method")
+    assert set(printed["protocol"]) == {"aligned-clip"} and set(printed["subset"]) == {"scene"}
+    assert printed.loc["DKT", "rmse"] == pytest.approx(0.0496)
+    (part,) = make_parts([tmp_path / "r"])
+    tables = [b.title for s in part.sections if s.anchor == "published" for b in s.blocks]
+    assert tables and not any("aligned-clip" in title for title in tables)
+    page = render_page([part])
+    assert "DKT" in page and "MoGe" in page
+
+
 def test_the_command_lists_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list", "published"]) == 0
     text = capsys.readouterr().out
