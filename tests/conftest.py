@@ -68,7 +68,13 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Count what a test cost, in this process or in a worker."""
+    before = sum(TIMINGS.spent_s.values())
     TIMINGS.add(report.nodeid, getattr(report, "processor_s", 0.0))
+    # Every ten minutes of a long run; the machine may have been slow only for a while.
+    if "PYTEST_XDIST_WORKER" not in os.environ and (
+        sum(TIMINGS.spent_s.values()) // 600 > before // 600
+    ):
+        TIMINGS.measure_slowness()
 
 
 def pytest_collection_finish() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import resource
 import shlex
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from sensors.simulation import cli as simulate
 from std_toolkit.cli import main as curate
 from std_toolkit.cli import scanning as scan
 from std_toolkit.cli.command import Command, Program
+from tests.timings import UNIT, processor_time_of
 
 MODULES = (curate, bench, train, report, restore, simulate, annotate, record, scan)
 PROGRAMS: tuple[Program, ...] = tuple(module.PROGRAM for module in MODULES)
@@ -46,20 +46,6 @@ def test_each_option_has_one_text(
         assert re.search(r"\b[a-z]{2,}", told), text
 
 
-# What help costs is told in units of this work, for machines differ in speed by a factor of four.
-UNIT = (
-    "import argparse, asyncio, unittest.mock, xml.dom.minidom, email.message,"
-    " concurrent.futures, multiprocessing.pool, sqlite3, http.client"
-)
-
-
-def processor_seconds(code: str) -> float:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "words", "units"),
@@ -79,8 +65,8 @@ def test_help_takes_little_processor_time(module: str, words: list[str], units: 
     taken, unit = [], []
     # The least counts: other processes on the machine make the same work take longer.
     while not taken or (min(taken) > units * min(unit) and len(taken) < 15):
-        unit.append(processor_seconds(UNIT))
-        taken.append(processor_seconds(code))
+        unit.append(processor_time_of(UNIT))
+        taken.append(processor_time_of(code))
     assert min(taken) <= units * min(unit), (taken, unit)
 
 

@@ -35,6 +35,16 @@ def test_a_test_counts_for_its_package() -> None:
     assert dict(timings.spent_s)[""] == 3
 
 
+def test_a_slow_machine_has_more_time() -> None:
+    timings = Timings()
+    timings.add("tests/sensors/stereo/test_a.py::test", 1.5 * BUDGET_S["sensors"])
+    timings.slowness = 2.0
+    assert timings.over() == []
+    timings.slowness = 1.0
+    timings.measure_slowness()
+    assert 1.0 <= timings.slowness < 20
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("budget", "status"), [(0.5, 1), (100.0, 0)])
 @pytest.mark.parametrize("workers", [0, 1])
