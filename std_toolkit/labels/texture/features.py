@@ -163,11 +163,12 @@ def aligned(drawn: Array32, taken: Array32, mask: Mask, *, limit_px: float) -> A
     slow = _SLOW_ALIGN * float(max(np.ptp(np.nonzero(mask), axis=1)))
     du, dv = best_shift(drawn, taken, mask, limit_px=limit_px, slow=slow)
     flow = np.array([du, 0, 0, dv, 0, 0])
-    found = _affine(drawn, taken, mask, flow, slow)
+    basis = _basis(mask)
+    found = _affine(drawn, taken, mask, flow, slow, basis)
     rest = found - flow
     if _largest(rest) <= limit_px:
         flow = found
-    return _moved(taken, flow, _basis(mask))
+    return _moved(taken, flow, basis)
 
 
 def best_shift(
@@ -195,29 +196,44 @@ def best_shift(
 
 
 def _affine(
-    drawn: Array32, taken: Array32, mask: Mask, flow: NDArray[np.float64], slow: float
+    drawn: Array32,
+    taken: Array32,
+    mask: Mask,
+    flow: NDArray[np.float64],
+    slow: float,
+    full: Array32,
 ) -> NDArray[np.float64]:
-    full = _basis(mask)
-    basis = full[mask]
+    basis = full[mask].astype(np.float64)
+    products = (basis[:, :, None] * basis[:, None, :]).reshape(-1, 9)
+    pixels = mask.astype(np.uint8)
     flow = flow.copy()
     # Shear and scale move the texture less than shifts do, and noise determines them worse.
     stiff = np.array([0.003, 0.03, 0.03, 0.003, 0.03, 0.03])
+    slow_drawn, slow_taken = smoothed(drawn, mask, slow), cv2.GaussianBlur(taken, (0, 0), slow)
     for sigma in _ALIGN_PX:
-        a = standardised(smoothed(drawn, mask, sigma) - smoothed(drawn, mask, slow), mask)
-        photo = passed(taken, sigma, slow)
+        a = standardised(smoothed(drawn, mask, sigma) - slow_drawn, mask)[mask]
+        photo = cv2.GaussianBlur(taken, (0, 0), sigma) - slow_taken
         for _ in range(_ALIGN_STEPS):
-            b = standardised(_moved(photo, flow, full), mask)
-            gx = cv2.Sobel(b, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)[mask]
-            gy = cv2.Sobel(b, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)[mask]
-            r = (a - b)[mask]
+            moved = _moved(photo, flow, full)
+            mean, spread = (x[:3, 0] for x in cv2.meanStdDev(moved, mask=pixels))
+            scale = 1 / max(float(spread.mean()), 1e-3)
+            # Of the moved image in units of its deviation; a constant has no gradient.
+            gx, gy = (
+                cv2.Sobel(moved, cv2.CV_32F, *axes, ksize=3, scale=scale / 8)[mask]
+                for axes in ((1, 0), (0, 1))
+            )
+            r = a - (moved[mask] - mean.astype(np.float32)) * np.float32(scale)
             weight = 1 / (1 + r * r)
-            J = np.concatenate(
-                [basis[:, None, :] * gx[..., None], basis[:, None, :] * gy[..., None]], axis=-1
-            ).reshape(-1, 6)
-            JW = J * weight.reshape(-1, 1)
-            A = JW.T @ J
+            wx, wy = weight * gx, weight * gy
+            # Rows of the Jacobian are the gradient times the basis: its channels are added first.
+            xx, xy, yy, rx, ry = (
+                np.einsum("nc,nc->n", p, q).astype(np.float64)
+                for p, q in ((wx, gx), (wx, gy), (wy, gy), (wx, r), (wy, r))
+            )
+            A_xx, A_xy, A_yy = ((weights @ products).reshape(3, 3) for weights in (xx, xy, yy))
+            A = np.block([[A_xx, A_xy], [A_xy.T, A_yy]])
             A += (np.trace(A) / 6 + 1e-6) * np.diag(stiff)
-            step = np.linalg.solve(A, JW.T @ r.reshape(-1))
+            step = np.linalg.solve(A, np.concatenate([rx @ basis, ry @ basis]))
             flow = flow + step
             if np.abs(step).max() < 0.1:
                 break
