@@ -194,6 +194,7 @@ _FIELD = (
       for part in ("test", "test-2022-10", "train")),
     "xyzibd-val-realsense", "xyzibd-val-xyz", "xyzibd-val-photoneo", "ipd-val-photoneo",
     "housecat6d-train", "housecat6d-val", "housecat6d-test", "robi-ensenso",
+    *(f"transpose-{side}-{part}" for side in ("right", "left") for part in ("test", "train")),
 )  # fmt: skip
 
 splits: Registry[Split] = Registry(

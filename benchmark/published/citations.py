@@ -81,6 +81,11 @@ KEYS: dict[str, tuple[str, ...]] = {
     "ipd-val-photoneo": ("kalra2024ipd",),
     **{f"housecat6d-{part}": ("jung2024housecat6d",) for part in ("train", "val", "test")},
     "robi-ensenso": ("yang2021robi",),
+    **{
+        f"transpose-{s}-{p}": ("kim2024transpose",)
+        for s in ("right", "left")
+        for p in ("test", "train")
+    },
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),
