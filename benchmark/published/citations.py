@@ -86,6 +86,8 @@ KEYS: dict[str, tuple[str, ...]] = {
         for s in ("right", "left")
         for p in ("test", "train")
     },
+    **{f"syn-todd-{p}": ("wang2023mvtrans",) for p in ("train", "val", "test", "rendered")},
+    **{f"todd-{p}": ("xu2021seeing",) for p in ("train", "val", "test")},
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),

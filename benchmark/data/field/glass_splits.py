@@ -1,6 +1,10 @@
 """The splits of sets of transparent objects that third parties describe, or that are simulated."""
 
+from benchmark.data.field.rendered_todd import open_rendered_todd
 from benchmark.data.field.source import field_split
+from benchmark.data.field.syn_todd import open_syn_todd
+from benchmark.data.field.todd import Part as ToddPart
+from benchmark.data.field.todd import open_todd
 from benchmark.data.field.transpose import Part, Side, open_transpose
 from benchmark.data.splits import Split
 
@@ -35,4 +39,68 @@ _SIDES: tuple[Side, ...] = ("right", "left")
 _PARTS: tuple[Part, ...] = ("test", "train")
 TRANSPOSE = {s.name: s for s in (_transpose(side, part) for side in _SIDES for part in _PARTS)}
 
-GLASS = {**TRANSPOSE}
+_SYN_TODD = (
+    "truth: exact, of the whole scene, cut at 3 m",
+    "raw depth: none, 0 everywhere: no sensor was simulated. Methods that restore it have nothing "
+    "to start from; those of colour alone have",
+    "scored by others: every pixel from 0 to 3 m (--protocol full-frame), and the objects",
+    "not verified: the axes of the poses, taken as Blender's because projections are mirrored in x",
+    "the right images are not read: their users call them invalid",
+    "licence: not found",
+)
+_SYN_TODD_FILES = ("https://doi.org/10.5683/SP3/LQKTXE",)
+
+
+def _syn_todd(part: ToddPart) -> Split:
+    name = f"syn-todd-{part}"
+    return field_split(
+        lambda root: open_syn_todd(name, root, part),
+        name=name,
+        about=f"simulated glass vessels, exact depth, {part}, as published (experimental)",
+        layout=f"ROOT/synthetic_{part}_pkl/16300.pickle.zstd",
+        page="https://github.com/ac-rad/MVTrans",
+        download=_SYN_TODD_FILES,
+        card=(
+            "experimental: by the authors' loader; not checked on the files; pickles are read "
+            "without running them; zstd needs Python 3.14, or `pip install backports.zstd`",
+            *_SYN_TODD,
+        ),
+    )
+
+
+SYN_TODD = {s.name: s for s in map(_syn_todd, ("train", "val", "test"))}
+_RENDERED = field_split(
+    lambda root: open_rendered_todd("syn-todd-rendered", root),
+    name="syn-todd-rendered",
+    about="simulated glass vessels, exact depth, as rendered (experimental)",
+    layout="ROOT/163/Camera_0_EmptyVessel_Frame_0_RGB_L.jpg, BoundingBox.json",
+    page="https://github.com/ac-rad/MVTrans",
+    download=_SYN_TODD_FILES,
+    card=("experimental: by the authors' loader; not checked on the files", *_SYN_TODD),
+)
+
+
+def _todd(part: ToddPart) -> Split:
+    name = f"todd-{part}"
+    return field_split(
+        lambda root: open_todd(name, root, part),
+        name=name,
+        about=f"real D435i, glass vessels, {part} (experimental)",
+        layout=f"ROOT/{part}/1622410107.5037992/image.jpg, depth.exr, detph_GroundTruth.exr",
+        page="https://github.com/pairlab/TranspareNet",
+        download=("https://doi.org/10.5683/SP3/ZJJAJ3",),
+        card=(
+            "experimental: by the authors' loaders; not checked on the files",
+            "truth: rendered objects; what it is off them is not verified: only object pixels "
+            "may be scored",
+            "scored by the authors: at 320x240; which pixels is not verified; here the objects",
+            "not verified: that 0 is the mask's background (one loader of the authors takes dark "
+            "pixels for objects), and that the poses map objects to the camera",
+            "licence: not found",
+        ),
+    )
+
+
+TODD = {s.name: s for s in map(_todd, ("train", "val", "test"))}
+
+GLASS = TRANSPOSE | SYN_TODD | {_RENDERED.name: _RENDERED} | TODD

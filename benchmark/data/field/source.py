@@ -68,7 +68,10 @@ class FieldFrames:
         return [FrameKey(scene.name, stem) for scene, stem in self.index]
 
     def paths(self, scene: SceneFolder, stem: str) -> Files:
-        """Return the files of a frame by content, which need not exist."""
+        """Return the files of a frame by content, which need not exist.
+
+        Without a file of raw depth, no sensor measured any: it is 0 everywhere.
+        """
         raise NotImplementedError
 
     def documents(self, scene: SceneFolder, stem: str) -> Files:  # noqa: ARG002
@@ -106,9 +109,11 @@ class FieldFrames:
         color, raw = NO_COLOR, NO_DEPTH
         if sensor:
             color = self.color(files[COLOR])
-            raw = self.raw(scene, stem, files[RAW])
+            raw = np.zeros(color.shape[:2], np.float32)
+            if RAW in files:
+                raw = self.raw(scene, stem, files[RAW])
             for what, image in ((COLOR, color), (RAW, raw)):
-                _check_shape(files[what], image, found.camera)
+                _check_shape(files.get(what, files[COLOR]), image, found.camera)
         key = FrameKey(scene.name, stem)
         try:
             return DepthFrame(
