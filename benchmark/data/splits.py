@@ -197,6 +197,7 @@ _FIELD = (
     *(f"transpose-{side}-{part}" for side in ("right", "left") for part in ("test", "train")),
     *(f"{name}-{part}" for name in ("syn-todd", "todd") for part in ("train", "val", "test")),
     "syn-todd-rendered",
+    *(f"gn-trans-{part}" for part in ("train", "test-seen", "test-similar", "test-novel")),
 )  # fmt: skip
 
 splits: Registry[Split] = Registry(

@@ -88,6 +88,10 @@ KEYS: dict[str, tuple[str, ...]] = {
     },
     **{f"syn-todd-{p}": ("wang2023mvtrans",) for p in ("train", "val", "test", "rendered")},
     **{f"todd-{p}": ("xu2021seeing",) for p in ("train", "val", "test")},
+    **{
+        f"gn-trans-{p}": ("shi2024asgrasp", "fang2020graspnet")
+        for p in ("train", "test-seen", "test-similar", "test-novel")
+    },
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),

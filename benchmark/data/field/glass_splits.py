@@ -1,5 +1,7 @@
 """The splits of sets of transparent objects that third parties describe, or that are simulated."""
 
+from benchmark.data.field.gn_trans import PARTS, open_gn_trans
+from benchmark.data.field.gn_trans import Part as GnTransPart
 from benchmark.data.field.rendered_todd import open_rendered_todd
 from benchmark.data.field.source import field_split
 from benchmark.data.field.syn_todd import open_syn_todd
@@ -103,4 +105,34 @@ def _todd(part: ToddPart) -> Split:
 
 TODD = {s.name: s for s in map(_todd, ("train", "val", "test"))}
 
-GLASS = TRANSPOSE | SYN_TODD | {_RENDERED.name: _RENDERED} | TODD
+
+def _gn_trans(part: GnTransPart) -> Split:
+    name = f"gn-trans-{part}"
+    numbers = PARTS[part]
+    return field_split(
+        lambda root: open_gn_trans(name, root, part),
+        name=name,
+        about=f"simulated D415, GraspNet's scenes {numbers[0]} to {numbers[-1]} with glass and "
+        "metal, infrared pair (experimental)",
+        layout=f"ROOT/scenes/{numbers[0]:05d}/0000_color.png, 0000_depth_sim.png, "
+        f"ROOT/graspnet/virtual_scenes/scene_{numbers[0]:04d}/realsense/, scenes/, models/",
+        page="https://github.com/jun7-shi/ASGrasp",
+        card=(
+            "experimental: folders by third parties, cameras by the authors' program; not checked "
+            "on the files",
+            "where to download the images is not known (asked in issue 4 of the page); truth, "
+            "labels, poses and models are GraspNet-1Billion's, https://graspnet.net",
+            "truth: of the whole scene, as far as GraspNet's virtual scenes have it; which camera "
+            "it is of is told by raw depth, see the counts above",
+            "scored by the authors: grasps; depth here with --protocol full-frame, or strict on "
+            "the objects",
+            "materials: not filed",
+            "infrared: the pair is there, with the cameras of the authors' program",
+            "licence: not found",
+        ),
+    )
+
+
+GN_TRANS = {s.name: s for s in map(_gn_trans, PARTS)}
+
+GLASS = TRANSPOSE | SYN_TODD | {_RENDERED.name: _RENDERED} | TODD | GN_TRANS
