@@ -55,19 +55,18 @@ def _zstd(module: ModuleType) -> Callable[[], Any] | None:
     return getattr(getattr(module, "zstd", None), "ZstdDecompressor", None)
 
 
-def unpacker_of(
-    make: Callable[[], Any], largest_bytes: int = LARGEST_CHUNK_BYTES
-) -> Callable[..., bytes]:
+def unpacker_of(make: Callable[[], Any], largest_bytes: int | None = None) -> Callable[..., bytes]:
     """Return a function that unpacks bytes.
 
     Args:
         make: a decompressor as those of `bz2` are.
-        largest_bytes: of what it gives.
+        largest_bytes: of what it gives (`LARGEST_CHUNK_BYTES`).
 
     The function raises ToolkitError for data that are cut off or unpack to more.
     """
 
     def decompress(data: bytes, *_: object) -> bytes:
+        most = LARGEST_CHUNK_BYTES if largest_bytes is None else largest_bytes
         parts, size, rest = [], 0, data
         while rest:  # several streams may follow each other
             unpacker = make()
@@ -76,10 +75,9 @@ def unpacker_of(
                 part = unpacker.decompress(fed, max_length=_STEP)
                 parts.append(part)
                 size += len(part)
-                if size > largest_bytes:
+                if size > most:
                     raise ToolkitError(
-                        f"a chunk of {len(data)} bytes unpacks to more than "
-                        f"{largest_bytes // 2**20} MB"
+                        f"a chunk of {len(data)} bytes unpacks to more than {most // 2**20} MB"
                     )
                 fed = b""
                 if unpacker.eof or (not part and unpacker.needs_input):
