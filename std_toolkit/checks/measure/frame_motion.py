@@ -29,8 +29,7 @@ Equations = MotionEquations | FiledEquations
 _CHANCE_PX = (-9.0, -6.5, 6.5, 9.0)
 _CHANCE_FRAMES = 25
 # Frames of a run that are searched, and hypotheses of each that are tried in the others.
-_SEARCHED = 4
-_HYPOTHESES = 5
+_SEARCHED, _HYPOTHESES = 4, 5
 # The common motion and the frames without it are found in turn.
 _ROUNDS = 3
 
