@@ -11,9 +11,8 @@ explanations are compared by their likelihood:
 - "misled": reflections or refraction look like an outline elsewhere in all frames. A label that is
   likely right in spite of this is unknown rather than doubtful.
 
-A label is right, or off in place, in turn, or in both: a prior distribution of its motion. With it
-the motion is known as a mixture of normal distributions, from which the probability follows that
-the label lies within the limits.
+A label is right, or off in place, in turn, or in both: with this prior distribution its motion is a
+mixture of normal distributions, from which the probability follows that it is within the limits.
 
 Motions are vectors (6,): translation of the object's centre in mm, and rotation vector about it in
 degrees, along the axes of the world.
