@@ -20,14 +20,12 @@ from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.motion import FiledEquations, MotionEquations
 from std_toolkit.checks.measure.motion_solver import solve_motion
 from std_toolkit.checks.measure.residuals import ObjectObservation
+from std_toolkit.checks.measure.shared_errors import chance_likelihood, likelihood_beside
 from std_toolkit.checks.measure.wide_search import SearchedView
 from std_toolkit.settings import Settings, limit
 
 Equations = MotionEquations | FiledEquations
 
-# Contours that lie beside the object by chance, and the number of frames they are read in.
-_CHANCE_PX = (-9.0, -6.5, 6.5, 9.0)
-_CHANCE_FRAMES = 25
 # Frames of a run that are searched, and hypotheses of each that are tried in the others.
 _SEARCHED, _HYPOTHESES = 4, 5
 # The common motion and the frames without it are found in turn.
@@ -111,6 +109,7 @@ class _Frame:
     equations: Equations
     pixel_m: float
     samples: float
+    camera: Array
 
 
 class ObjectFrames:
@@ -120,6 +119,7 @@ class ObjectFrames:
         observed: frame ids in order, with the object in each.
         free: (N, 6) motions that do not change its appearance, from `symmetry_motions`.
         smallest_mm: smallest displacement across the view that is a fault.
+        cameras: (6, 6) by entry of `observed`, from `seen_errors`; none: they have no error.
 
     Attributes:
         tells: whether its label fits in so many frames that the others say something.
@@ -129,12 +129,19 @@ class ObjectFrames:
     """
 
     def __init__(
-        self, observed: Sequence[tuple[int, ObjectObservation]], free: Array, *, smallest_mm: float
+        self,
+        observed: Sequence[tuple[int, ObjectObservation]],
+        free: Array,
+        *,
+        smallest_mm: float,
+        cameras: Sequence[Array] = (),
     ) -> None:
         limits = FrameMotionSettings.current()
         self.frames = [
-            _Frame(f, o.motion, o.metres_per_px or 0.0, o.motion.length_px / limits.sample_px)
-            for f, o in observed
+            _Frame(f, o.motion, o.metres_per_px or 0.0, o.motion.length_px / limits.sample_px, C)
+            for (f, o), C in zip(
+                observed, cameras or [np.zeros((6, 6))] * len(observed), strict=True
+            )
             if o.motion is not None
         ]
         self.free, self.smallest_mm = free, smallest_mm
@@ -165,8 +172,8 @@ class ObjectFrames:
         common = solve_motion([f.equations for f in shared], self.free, with_size=True)
         assert common is not None and common.size is not None
         self.zero = np.append(common.vector, common.size)
-        self.per_sample = np.array([f.equations.load().likelihood(self.zero) for f in self.frames])
-        self.chance = _chance(shared, self.zero)
+        self.per_sample = np.array([_expected(f, self.zero, self.free) for f in self.frames])
+        self.chance = chance_likelihood([f.equations for f in shared], self.zero)
         known = np.sort(self.per_sample[left])
         self.usual = float(np.median(known[len(known) // 2 :])) - self.chance
         self.part = (self.per_sample - self.chance) / max(self.usual, 1e-9)
@@ -241,8 +248,7 @@ class ObjectFrames:
     def _climb(self, equations: Sequence[Equations], start: Array) -> tuple[Array, Array]:
         """Motion (7,) and covariance (6, 6) from a start (7,), whose size it keeps."""
         moved = []
-        for entry in equations:
-            e = entry.load()
+        for e in (entry.load() for entry in equations):
             offsets = (e.offsets - (e.jacobian @ start)[:, None]).astype(np.float32)
             moved.append(replace(e, offsets=offsets))
         solved = solve_motion(moved, self.free)
@@ -268,7 +274,6 @@ class ObjectFrames:
         self, k: int, motion: Array, left: NDArray[np.bool_]
     ) -> tuple[int, int, Displaced] | None:
         first, last, gain = self._extent(k, motion, left)
-        covariance = np.eye(6)
         for _ in range(2):
             better, covariance = self._climb(
                 [f.equations for f in self.frames[first : last + 1]], motion
@@ -362,7 +367,7 @@ class ObjectFrames:
                     best = gain, motion
         if best is None:
             return None
-        motion, covariance = best[1], np.eye(6)
+        motion = best[1]
         measured = {j: e for j, v in views.items() if (e := v.equations(motion[:6])) is not None}
         if not measured:
             return None
@@ -370,9 +375,10 @@ class ObjectFrames:
         found = self._accepted(list(measured), list(measured.values()), motion, covariance)
         if found is None:
             return None
-        ids = [f.frame for f in self.frames]
-        after = ids[run[-1] + 1] if run[-1] + 1 < len(ids) else None
-        return replace(found, frames=tuple(ids[j] for j in run), after=after)
+        ids: list[int | None] = [*(f.frame for f in self.frames), None]
+        return replace(
+            found, frames=tuple(self.frames[j].frame for j in run), after=ids[run[-1] + 1]
+        )
 
     def _places(self, k: int, view: SearchedView) -> list[Array]:
         """The most likely motions (7,) of the object in a frame."""
@@ -389,12 +395,11 @@ class ObjectFrames:
         return [m for _, m in found[:_HYPOTHESES]]
 
 
-def _chance(frames: Sequence[_Frame], motion: Array) -> float:
-    """Likelihood of the points of displaced contours: median over some frames."""
-    chosen = np.unique(np.linspace(0, len(frames) - 1, _CHANCE_FRAMES).round().astype(int))
-    found = [
-        replace(e, offsets=e.offsets - np.float32(shift)).likelihood(motion)
-        for e in (frames[k].equations.load() for k in chosen)
-        for shift in _CHANCE_PX
-    ]
-    return float(np.median(found))
+def _expected(frame: _Frame, zero: Array, free: Array) -> float:
+    """Likelihood at the common motion and the most likely error of the frame's camera."""
+    e = frame.equations.load()
+    alone = solve_motion([e], free) if frame.camera.any() else None
+    if alone is None:
+        return e.likelihood(zero)
+    off = alone.vector - zero[:6]
+    return likelihood_beside(e, zero, off, alone.covariance, frame.camera, frame.samples)
