@@ -1,11 +1,10 @@
 """Frames in which an object lies elsewhere than in the other frames of the recording.
 
 The motion of an object in some frames is measured against the motion and size that all frames have
-in common, so that an error of the label or of the mesh, which is the same in every frame, is no
-motion. The evidence is the log likelihood of the edges at the motion minus that at the common one,
-summed over neighbouring frames. A run of frames is accepted if this gain exceeds what the best of
-all runs reaches by chance, the object is seen at its new place about as well as in other frames,
-and the displacement is larger than the limit for labels.
+in common: an error of label or mesh, the same in every frame, is no motion. The evidence is the log
+likelihood of the edges at the motion minus that at the common one, summed over neighbouring frames.
+A run of frames is accepted if this gain exceeds what the best of all runs reaches by chance, the
+object is seen there about as well as in other frames, and the displacement exceeds the limit.
 """
 
 from __future__ import annotations
@@ -137,11 +136,10 @@ class ObjectFrames:
         cameras: Sequence[Array] = (),
     ) -> None:
         limits = FrameMotionSettings.current()
+        cameras = cameras or [np.zeros((6, 6))] * len(observed)
         self.frames = [
             _Frame(f, o.motion, o.metres_per_px or 0.0, o.motion.length_px / limits.sample_px, C)
-            for (f, o), C in zip(
-                observed, cameras or [np.zeros((6, 6))] * len(observed), strict=True
-            )
+            for (f, o), C in zip(observed, cameras, strict=True)
             if o.motion is not None
         ]
         self.free, self.smallest_mm = free, smallest_mm
@@ -375,24 +373,21 @@ class ObjectFrames:
         found = self._accepted(list(measured), list(measured.values()), motion, covariance)
         if found is None:
             return None
-        ids: list[int | None] = [*(f.frame for f in self.frames), None]
-        return replace(
-            found, frames=tuple(self.frames[j].frame for j in run), after=ids[run[-1] + 1]
-        )
+        ids = [f.frame for f in self.frames]
+        after = ids[run[-1] + 1] if run[-1] + 1 < len(ids) else None
+        return replace(found, frames=tuple(ids[j] for j in run), after=after)
 
     def _places(self, k: int, view: SearchedView) -> list[Array]:
         """The most likely motions (7,) of the object in a frame."""
         found = []
         for place in view.places():
-            e = view.equations(place)
-            if e is None:
+            if (e := view.equations(place)) is None:
                 continue
             motion, _ = self._climb([e], np.append(place, self.zero[6]))
             again = view.equations(motion[:6])
             if again is not None:
                 found.append((self._gain(k, motion, again), motion))
-        found.sort(key=lambda pair: -pair[0])
-        return [m for _, m in found[:_HYPOTHESES]]
+        return [m for _, m in sorted(found, key=lambda pair: -pair[0])[:_HYPOTHESES]]
 
 
 def _expected(frame: _Frame, zero: Array, free: Array) -> float:
