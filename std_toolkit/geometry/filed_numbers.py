@@ -27,6 +27,7 @@ _SIDES = re.compile(r"(\d{1,6}) *[x*×,] *(\d{1,6})")
 # Metres per unit below 1, units per metre above 50; others are not clear.
 _DEPTH_UNIT = (
     "depthmapfactor",
+    "mdepthshift",
     "pngdepthscale",
     "depthscale",
     "depthfactor",

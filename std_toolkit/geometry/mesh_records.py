@@ -186,9 +186,13 @@ def _strips(index: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def named_ply_colors(data: bytes) -> bytes:
-    """A PLY file whose vertex colours have the names red, green, blue, not diffuse_red, ..."""
+    """A PLY file whose vertex colours are red, green, blue, not r, g, b or diffuse_red, ..."""
     end = data.find(b"end_header", 0, _LARGEST_HEADER)
-    if end < 0 or b" diffuse_" not in data[:end]:
+    if end < 0:
         return data
     head = re.sub(rb" diffuse_(red|green|blue)(?=\s)", rb" \1", data[:end])
-    return head + data[end:]
+    short = rb"(property\s+\w+\s+)(r|g|b)(?=\s)"
+    if {m[1] for m in re.findall(short, head)} == {b"r", b"g", b"b"}:
+        names = {b"r": b"red", b"g": b"green", b"b": b"blue"}
+        head = re.sub(short, lambda m: m.group(1) + names[m.group(2)], head)
+    return data if head == data[:end] else head + data[end:]

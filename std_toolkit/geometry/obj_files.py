@@ -247,11 +247,11 @@ class _Reader:
                     value=text,
                     hint="put materials and textures in the folder of the mesh",
                 )
-            if not path.is_file() or path.suffix.lower() not in (".mtl", ".png", ".jpg", ".jpeg"):
-                return None
-            return path
+            if path.is_file():
+                is_named = path.suffix.lower() in (".mtl", ".png", ".jpg", ".jpeg")
+                return path if is_named else None
         if not path.is_file():
-            if not quiet and (other := self._alike(path, source.parent, name)) is not None:
+            if not quiet and (other := self._alike(source.parent, name)) is not None:
                 self.notes.append(f"{text} is missing; {other.name} is used")
                 return other
             if not quiet:
@@ -259,13 +259,15 @@ class _Reader:
             return None
         return path
 
-    def _alike(self, path: Path, folder: Path, name: str) -> Path | None:
+    def _alike(self, folder: Path, name: str) -> Path | None:
         """The only file of this name in other letters, or of a path of another machine."""
-        wanted = name.replace("\\", "/").rsplit("/", 1)[-1].lower()
-        for place in dict.fromkeys((path.parent, folder.resolve())):
-            if not place.is_dir():
+        *folders, wanted = name.replace("\\", "/").split("/")
+        for start in range(len(folders) + 1):
+            place = _resolved(folder.resolve(), "/".join(folders[start:]) or ".")
+            if place is None or not place.is_relative_to(self.folder) or not place.is_dir():
                 continue
-            found = [p for p in place.iterdir() if p.name.lower() == wanted and p.is_file()]
+            alike = [p for p in place.iterdir() if p.name.lower() == wanted.lower()]
+            found = [p for p in alike if p.is_file()]
             if len(found) == 1 and found[0].resolve().is_relative_to(self.folder):
                 return found[0]
         return None

@@ -304,7 +304,9 @@ def test_piled_faces_are_refused_and_fans_are_read(tmp_path: Path) -> None:
 BOX_OBJ = "mtllib a.mtl\nv 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
 
 
-@pytest.mark.parametrize("name", ["C:\\Users\\me\\tex.png", "TEX.PNG", "maps/tex.png"])
+@pytest.mark.parametrize(
+    "name", ["C:\\Users\\me\\tex.png", "TEX.PNG", "maps/tex.png", "/no/such/tex.png"]
+)
 def test_a_texture_of_another_machine_is_found_by_its_name(
     tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -347,10 +349,17 @@ def test_colours_that_are_not_shown_are_named(
 )
 @pytest.mark.parametrize(
     ("kind", "name", "value"),
-    [("uchar", "diffuse_", "255 0 0"), ("float", "", "1.0 0 0"), ("uchar", "", "255 0 0")],
+    [
+        ("uchar", "diffuse_", "255 0 0"),
+        ("uchar", "short", "255 0 0"),
+        ("float", "", "1.0 0 0"),
+        ("uchar", "", "255 0 0"),
+    ],
 )
 def test_colours_of_ply_files(tmp_path: Path, faces: str, kind: str, name: str, value: str) -> None:
     colors = "".join(f"property {kind} {name}{c}\n" for c in ("red", "green", "blue"))
+    if name == "short":
+        colors = "".join(f"property {kind} {c}\n" for c in "rgb")
     rows = "".join(f"{xyz} {value}\n" for xyz in ("0 0 0", "0.1 0 0", "0 0.1 0"))
     (tmp_path / "a.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
