@@ -193,6 +193,7 @@ _FIELD = (
     *(f"transcg-{sensor}-{part}" for sensor in ("d435", "l515")
       for part in ("test", "test-2022-10", "train")),
     "xyzibd-val-realsense", "xyzibd-val-xyz", "xyzibd-val-photoneo", "ipd-val-photoneo",
+    "pace-test", "pace-val-inst", "pace-val-pbr-cat", "pace-train-pbr-cat", "pace-train-pbr-inst",
     "housecat6d-train", "housecat6d-val", "housecat6d-test", "robi-ensenso",
 )  # fmt: skip
 

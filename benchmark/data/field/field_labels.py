@@ -104,12 +104,14 @@ class BopLabels:
         models: folder of the models, millimetres.
         material: of objects; exports of the toolkit state it themselves.
         sensor: of sets with several.
+        depth_unit: metres per number; None: `depth_scale` of the frame.
     """
 
     index: FrameIndex
     models: Path
     material: Material = "diffuse"
     sensor: str = ""
+    depth_unit: float | None = None
     _kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def keys(self) -> list[FrameKey]:
@@ -157,7 +159,9 @@ class BopLabels:
         row = scene.cameras[number]
         camera = Camera(*image_size(path), *row.intrinsics)
         depth = scene.picture("depth", number)
-        sensor = None if depth is None else read_field_depth(depth, row.depth_scale_m)
+        sensor = (
+            None if depth is None else read_field_depth(depth, self.depth_unit or row.depth_scale_m)
+        )
         if sensor is not None and sensor.shape != (camera.height, camera.width):
             raise ToolkitError("is not of the colour image's size", path=depth, value=sensor.shape)
         return FrameImages(camera, read_color(path, size=camera.size), sensor)

@@ -172,6 +172,39 @@ BOP = {
 }  # fmt: skip
 
 
+def _pace(part: str, about: str, unit: float | None) -> Split:
+    name = f"pace-{part.replace('_', '-')}"
+    return _split(
+        lambda root: open_bop_frames(name, root, "pace", "", Material.RAW, part, unit),
+        name=name,
+        about=about,
+        layout=f"ROOT/pace/{part}/000000/rgb/, depth/, mask_visib/, scene_gt.json, "
+        "ROOT/pace/models/",
+        page="https://github.com/qq456cvb/PACE",
+        card=(
+            "depth: " + ("0.1 mm a number" if unit else "the frame's depth_scale (1 mm)"),
+            "truth: rendered from the models at the labels, on visible masks; objects only; "
+            "its error is that of the labels (`std-bench audit`)",
+            "scored by the authors: poses, of instances by bop_toolkit, of categories by AP; "
+            "depth restoration here on the visible masks",
+            "materials are not filed",
+            "licence: MIT; models 693-1260 CC BY, 1165 and 1166 under GrabCAD's terms",
+        ),
+    )
+
+
+PACE = {
+    split.name: split
+    for split in (
+        _pace("test", "real, three cameras, 238 objects (whole set)", None),
+        _pace("val_inst", "real, three cameras, the instances' validation", None),
+        _pace("val_pbr_cat", "simulated, the categories' validation", 0.0001),
+        _pace("train_pbr_cat", "simulated, training of categories", 0.0001),
+        _pace("train_pbr_inst", "simulated, training of instances", 0.0001),
+    )
+}
+
+
 def _housecat(part: str, scenes: int) -> Split:
     name = f"housecat6d-{part}"
     return _split(
@@ -211,7 +244,7 @@ ROBI = _split(
     ),
 )
 
-EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | HOUSECAT | {ROBI.name: ROBI}
+EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | {ROBI.name: ROBI}
 
 
 def __getattr__(name: str) -> Split:

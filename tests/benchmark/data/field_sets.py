@@ -240,6 +240,27 @@ def write_bop_sensors(root: Path, sensor: str, *, gray: bool = False, first: int
     return drawn
 
 
+def write_pace(root: Path, part: str, unit: float, channels: int) -> Drawn:
+    """A scene of a part: no sensor's name; `depth_scale` 1, whatever the unit of depth is."""
+    drawn = draw(BOP_K, BOP_SIZE)
+    top, fx, fy, cx, cy = root / part / "000000", *BOP_K
+    gt = [
+        {"obj_id": number, "cam_R_m2c": box.R.ravel().tolist(),
+         "cam_t_m2c": (1000 * np.array(box.centre)).tolist()}
+        for number, box in zip((7, 545), BOXES, strict=True)
+    ]  # fmt: skip
+    camera = {"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "depth_scale": 1.0}
+    put_color(top / "rgb/000000.png", BOP_SIZE)
+    put_depth(top / "depth/000000.png", with_holes(drawn), unit)
+    for i, (row, box) in enumerate(zip(gt, BOXES, strict=True)):
+        mask = 255 * (drawn.index == i).astype("u1")
+        put(top / f"mask_visib/000000_{i:06d}.png", np.dstack([mask] * channels))
+        box.save(root / f"models/obj_{row['obj_id']:06d}.ply", unit=0.001)
+    (top / "scene_gt.json").write_text(json.dumps({"0": gt}))
+    (top / "scene_camera.json").write_text(json.dumps({"0": camera}))
+    return drawn
+
+
 HOUSECAT_SIZE, HOUSECAT_K = (274, 213), [188.0, 188.0, 136.5, 106.0]
 
 
