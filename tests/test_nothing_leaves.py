@@ -58,6 +58,7 @@ ROWS: dict[str, dict[str, tuple[str, int]]] = {
         "list": ("methods", 0),
         "check-data": ("data --split dreds-catknown-test", 0),
         "infer-list": (f"{SPLIT} --out il --engine serial", 0),
+        "order": ("--data rec", 1),
         "self-test": ("--networks shipped", 0),
         "verify": ("bd", 0),
         "priors": (

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         CheckDataOptions,
         InferListOptions,
         ListOptions,
+        OrderOptions,
         SelfTestOptions,
         VerifyOptions,
     )
@@ -81,6 +82,18 @@ def infer_list(options: InferListOptions) -> int:
     from benchmark.evaluation.infer_list import write_infer_list
 
     print(write_infer_list(options))
+    return 0
+
+
+def order_points(options: OrderOptions) -> int:
+    """Score the order of points; returns the exit status."""
+    from benchmark.evaluation.order import order_table, score_order
+
+    record = score_order(options)
+    if options.json:
+        print_json(record)
+    else:
+        print(order_table(record).terminal())
     return 0
 
 
@@ -195,6 +208,12 @@ PROGRAM = Program(
             "write the list of frames for a program of another environment",
             _QUERY + "InferListOptions",
             "infer_list",
+        ),
+        (
+            "order",
+            "score the order of points on layers of glass",
+            _QUERY + "OrderOptions",
+            "order_points",
         ),
         (
             "self-test",

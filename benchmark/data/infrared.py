@@ -168,7 +168,22 @@ def read_infrared(folder: Path, name: str, index: int, record: Path | None = Non
     if told is None:
         problem = "nothing tells the cameras of the infrared pair"
         raise ToolkitError(problem, path=folder, hint=_HINT)
-    known = _calibration(told, index)
+    return read_pair(left_path, right_path, _calibration(told, index), told)
+
+
+def read_pair(
+    left_path: Path, right_path: Path, known: InfraredCalibration, told: Path
+) -> InfraredPair:
+    """Read two images of a known pair.
+
+    Args:
+        left_path, right_path: grey images.
+        known: their calibration.
+        told: file or folder that the calibration is of, for errors.
+
+    Raises:
+        ToolkitError: an image is missing or damaged, or they do not fit.
+    """
     left, right = _grey(left_path), _grey(right_path)
     if left.shape != right.shape:
         raise ToolkitError("the infrared images differ in size", path=right_path,

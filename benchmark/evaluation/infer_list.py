@@ -55,7 +55,8 @@ class _Writer:
 def _infrared(source: InfraredSource, index: int) -> dict[str, str]:
     """Cells of `INFRARED_COLUMNS`; none for a frame that has no calibrated pair."""
     files = source.infrared_files(index)
-    if len(files) < 3 or not all(path.is_file() for path in files.values()):
+    known = "infrared calibration" in files or getattr(source, "infrared_is_known", False)
+    if not (known and all(path.is_file() for path in files.values())):
         return {}
     pair = source.infrared(index)
     images = (files["left infrared image"], files["right infrared image"])

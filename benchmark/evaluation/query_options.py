@@ -83,6 +83,37 @@ class InferListOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OrderOptions:
+    """Score the order of points on layers of glass, on LayeredDepth's validation photos.
+
+    The set has no depth but the order of points: its scores stand apart from all others. Folders of
+    predictions have KEY_LAYER.png, 16 bit, or .npy, or KEY.png of the first layer alone. Without
+    predictions, what of the set is there is counted.
+    """
+
+    data: Path = field(metadata={"option": "data"})
+    """folder of the photos and tuples, unpacked or in *.tar"""
+    predictions: tuple[str, ...] = ()
+    """NAME=DIR of predictions"""
+    subset: Literal["layer_first", "layer_all"] = "layer_first"
+    """first surfaces, or all layers"""
+    layers: Literal["auto", "odd", "counted"] = "auto"
+    """how files count layers: 1, 3, 5, 7 (odd), or 0, 1, 2, 3 (counted); auto: as they tell"""
+    npy: Literal["inverse", "depth"] = "inverse"
+    """what .npy holds: inverse depth, as in the authors' program, or depth"""
+    json: bool = False
+    """print JSON"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def folders(self) -> dict[str, Path]:
+        """Folders of predictions by name."""
+        return _named_paths(self.predictions, "predictions")
+
+
+@dataclass(frozen=True, kw_only=True)
 class AuditOptions(TaskConfig):
     """Judge the labels of a data set against its images, and write a page to publish.
 

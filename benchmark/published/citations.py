@@ -86,6 +86,17 @@ KEYS: dict[str, tuple[str, ...]] = {
     },
     **{f"housecat6d-{part}": ("jung2024housecat6d",) for part in ("train", "val", "test")},
     "robi-ensenso": ("yang2021robi",),
+    **{
+        f"transpose-{s}-{p}": ("kim2024transpose",)
+        for s in ("right", "left")
+        for p in ("test", "train")
+    },
+    **{f"syn-todd-{p}": ("wang2023mvtrans",) for p in ("train", "val", "test", "rendered")},
+    **{f"todd-{p}": ("xu2021seeing",) for p in ("train", "val", "test")},
+    **{
+        f"gn-trans-{p}": ("shi2024asgrasp", "fang2020graspnet")
+        for p in ("train", "test-seen", "test-similar", "test-novel")
+    },
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),

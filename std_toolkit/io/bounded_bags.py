@@ -31,13 +31,13 @@ def bound(module: ModuleType) -> None:
             continue
         for kind, make in (("bz2", _bz2), ("lz4", _lz4), ("zstd", _zstd(module))):
             if kind in known and make is not None:
-                known[kind] = _whole(make)
+                known[kind] = unpacker_of(make)
     zstd = getattr(module, "zstd", None)
     make = _zstd(module)
     if module.__name__.endswith("rosbag2.reader") and zstd is not None and make is not None:
         module.zstd = SimpleNamespace(  # type: ignore[attr-defined]
             open=lambda file, mode: _Bounded(zstd.open(file, mode), file),
-            decompress=_whole(make),
+            decompress=unpacker_of(make),
             ZstdError=getattr(zstd, "ZstdError", ValueError),
         )
 
@@ -55,8 +55,17 @@ def _zstd(module: ModuleType) -> Callable[[], Any] | None:
     return getattr(getattr(module, "zstd", None), "ZstdDecompressor", None)
 
 
-def _whole(make: Callable[[], Any]) -> Callable[..., bytes]:
-    """A function that unpacks bytes, up to `LARGEST_CHUNK_BYTES`."""
+def unpacker_of(
+    make: Callable[[], Any], largest_bytes: int = LARGEST_CHUNK_BYTES
+) -> Callable[..., bytes]:
+    """Return a function that unpacks bytes.
+
+    Args:
+        make: a decompressor as those of `bz2` are.
+        largest_bytes: of what it gives.
+
+    The function raises ToolkitError for data that are cut off or unpack to more.
+    """
 
     def decompress(data: bytes, *_: object) -> bytes:
         parts, size, rest = [], 0, data
@@ -67,16 +76,16 @@ def _whole(make: Callable[[], Any]) -> Callable[..., bytes]:
                 part = unpacker.decompress(fed, max_length=_STEP)
                 parts.append(part)
                 size += len(part)
-                if size > LARGEST_CHUNK_BYTES:
+                if size > largest_bytes:
                     raise ToolkitError(
                         f"a chunk of {len(data)} bytes unpacks to more than "
-                        f"{LARGEST_CHUNK_BYTES // 2**20} MB"
+                        f"{largest_bytes // 2**20} MB"
                     )
                 fed = b""
                 if unpacker.eof or (not part and unpacker.needs_input):
                     break
             if not unpacker.eof:
-                raise ToolkitError("a compressed chunk of the recording is cut off")
+                raise ToolkitError("a compressed chunk is cut off")
             rest = unpacker.unused_data or b""
         return b"".join(parts)
 

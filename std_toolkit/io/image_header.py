@@ -89,6 +89,24 @@ def read_header(path: Path) -> ImageHeader:
     return header
 
 
+def header_of(data: bytes, path: Path) -> ImageHeader:
+    """Header of a PNG or JPEG image within another file.
+
+    Args:
+        data: of the image.
+        path: of the file that holds it, for errors.
+
+    Raises:
+        ToolkitError: neither PNG nor JPEG, or of an implausible size.
+    """
+    try:
+        header = _header(io.BytesIO(data))
+    except _DAMAGE as error:
+        raise ToolkitError("holds no readable PNG or JPEG image", path=path) from error
+    check_plausible_size(path, header.width, header.height)
+    return header
+
+
 def check_plausible_size(path: Path, width: int, height: int) -> None:
     """Check that the image size is plausible.
 

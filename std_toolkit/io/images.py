@@ -75,6 +75,25 @@ def read_color(path: Path | str, *, size: tuple[int, int] | None = None) -> NDAr
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # type: ignore[arg-type, return-value]
 
 
+def decode_color(data: bytes, path: Path | str) -> NDArray[np.uint8]:
+    """RGB image (H, W, 3) uint8 from the bytes of a PNG or JPEG within another file.
+
+    Args:
+        data: of the image.
+        path: of the file that holds it, for errors.
+
+    Raises:
+        ToolkitError: as `read_color`.
+    """
+    path = Path(path)
+    header = image_header.header_of(data, path)
+    if header.bits > 8 or header.channels not in (1, 3):
+        problem = f"colour must be 8-bit RGB or grey, not {header.channels} of {header.bits} bits"
+        raise ToolkitError(problem, path=path)
+    image = _pixels(path, data, header, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # type: ignore[arg-type, return-value]
+
+
 def write_color(path: Path | str, image: NDArray[np.uint8], *, quality: int = 95) -> None:
     """Write an RGB image (H, W, 3) uint8; the suffix (.png, .jpg) selects the format."""
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
@@ -194,7 +213,12 @@ def _decode(
 ) -> NDArray[np.generic]:
     _check_size(path, (header.width, header.height), size)
     with image_header.open_regular(path) as file:
-        data = file.read()
+        return _pixels(path, file.read(), header, flags)
+
+
+def _pixels(
+    path: Path, data: bytes, header: image_header.ImageHeader, flags: int
+) -> NDArray[np.generic]:
     image_header.check_whole(path, data, header)
     try:
         if header.format == "jpeg":

@@ -1,23 +1,26 @@
 """Pickles of plain values and arrays, read without running anything that they name.
 
 Nothing of a pickle is imported or called: names of NumPy stand for classes of this module, which
-become arrays of numbers after their sizes are checked; any other name is refused.
+become arrays of numbers after their sizes are checked, and records that the caller names become
+dicts of their fields; any other name is refused.
 """
 
+import importlib
 import io
 import math
 import pickle
 import pickletools
 import re
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, located
+from std_toolkit.io.bounded_bags import unpacker_of
 from std_toolkit.io.regular import open_regular_file
 
 # Pickles of a frame's poses have under 100 kB.
@@ -107,8 +110,26 @@ _NAMES: dict[tuple[str, str], Callable[..., Any]] = {
 }
 
 
+class _Record(dict[str, Any]):
+    """Stands for an object of another program: its fields."""
+
+    def __init__(self, *_: Any) -> None:
+        raise ValueError("a record that is called")  # plain records are filled, never called
+
+    def __setstate__(self, state: Any) -> None:
+        if not isinstance(state, dict) or not all(isinstance(key, str) for key in state):
+            raise ValueError("a record without named fields")
+        self.update(state)
+
+
 class _Reader(pickle.Unpickler):
+    def __init__(self, data: bytes, records: Collection[tuple[str, str]]) -> None:
+        super().__init__(io.BytesIO(data), encoding="latin-1")
+        self._records = records
+
     def find_class(self, module: str, name: str) -> Any:
+        if (module, name) in self._records:
+            return _Record
         found = _NAMES.get((module, name))
         if found is None:
             raise pickle.UnpicklingError(f"names {module}.{name}, which could run anything"[:160])
@@ -118,23 +139,30 @@ class _Reader(pickle.Unpickler):
         raise pickle.UnpicklingError("refers to something outside")
 
 
-def read_pickle(path: Path) -> Any:
+def read_pickle(path: Path, *, records: Collection[tuple[str, str]] = ()) -> Any:
     """Read a pickle of numbers, texts, arrays of numbers, and lists, tuples and dicts of them.
 
     Arrays of the result are read-only, or stand in for arrays that `array_in` returns.
 
+    Args:
+        path: of the file, which may be packed with zstd; its name then ends with ".zstd".
+        records: module and name of classes whose objects are read as dicts of their fields.
+
     Raises:
         ToolkitError: no such file, larger than 64 MB, damaged, or it names anything else: such a
-            pickle could run any program, and is not read.
+            pickle could run any program, and is not read; or nothing here unpacks zstd.
     """
     try:
         with open_regular_file(path, "pickle", _LARGEST_BYTES) as file:
             data = file.read()
+        if path.suffix == ".zstd":
+            with located(path):
+                data = unpacker_of(_zstd(), _LARGEST_BYTES)(data)
         # Looked at first: a length that lies reserves memory when it is read.
         for step, (code, _, _) in enumerate(pickletools.genops(data)):
             if code.name in _REFUSED or step > _MOST_STEPS:
                 raise pickle.UnpicklingError(f"has the step {code.name}, number {step}")
-        return _Reader(io.BytesIO(data), encoding="latin-1").load()
+        return _Reader(data, frozenset(records)).load()
     except ToolkitError:
         raise
     except Exception as error:  # of a damaged pickle: nearly any
@@ -144,6 +172,19 @@ def read_pickle(path: Path) -> Any:
             path=path,
             hint="only numbers, texts, arrays of numbers, lists and dicts are read",
         ) from error
+
+
+def _zstd() -> Callable[[], Any]:
+    """The decompressor of Python 3.14, or of the package that brings it to older ones."""
+    for name in ("compression.zstd", "backports.zstd"):
+        try:
+            make: Callable[[], Any] = importlib.import_module(name).ZstdDecompressor
+        except ImportError:
+            continue
+        return make
+    raise ToolkitError(
+        "is packed with zstd, which this Python does not unpack", hint="pip install backports.zstd"
+    )
 
 
 def array_in(value: Any, path: Path, field: str) -> NDArray[np.float64]:

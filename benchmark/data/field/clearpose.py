@@ -124,19 +124,29 @@ def read_metadata(path: Path) -> dict[str, _Row]:
     Raises:
         ToolkitError: unreadable, or a frame without intrinsics or with poses of another number.
     """
+    table = read_mat(path, _LARGEST_METADATA)
+    return {
+        name: _row_of(value, path, name) for name, value in table.items() if isinstance(value, dict)
+    }
+
+
+def read_mat(path: Path, largest_bytes: int) -> dict[str, Any]:
+    """Read the variables of a file of MATLAB 5.
+
+    Raises:
+        ToolkitError: unreadable, larger, or damaged.
+    """
     from io import BytesIO
 
     from scipy.io import loadmat
 
-    data = read_regular(path, "metadata", _LARGEST_METADATA)
+    data = read_regular(path, "metadata", largest_bytes)
     try:
-        table = loadmat(BytesIO(data), simplify_cells=True)
+        found: dict[str, Any] = loadmat(BytesIO(data), simplify_cells=True)
     except Exception as error:  # damaged files fail in any way
         line = " ".join(str(error).split())[:160]
         raise ToolkitError(f"no file of MATLAB 5: {line}", path=path) from error
-    return {
-        name: _row_of(value, path, name) for name, value in table.items() if isinstance(value, dict)
-    }
+    return found
 
 
 def _row_of(value: Mapping[str, Any], path: Path, name: str) -> _Row:
@@ -144,6 +154,20 @@ def _row_of(value: Mapping[str, Any], path: Path, name: str) -> _Row:
     K = value.get("intrinsic_matrix", value.get("camera_intrinsics"))
     if K is None:
         raise ToolkitError("has no intrinsic_matrix", path=path, field=name)
+    camera = value.get("rotation_translation_matrix")
+    filed = None
+    if camera is not None:
+        filed = np.eye(4)
+        filed[:3] = np.asarray(camera, np.float64)[:3, :4]
+    return _Row(np.asarray(K, np.float64), listed_poses(value, path, name), filed)
+
+
+def listed_poses(value: Mapping[str, Any], path: Path, name: str) -> dict[int, SE3]:
+    """Return the poses (3, 4, n) of `cls_indexes`, by these.
+
+    Raises:
+        ToolkitError: numbers of another count, or no poses.
+    """
     ids = np.atleast_1d(value.get("cls_indexes", ())).ravel()
     poses = np.asarray(value.get("poses", np.zeros((3, 4, 0))), dtype=np.float64)
     # MATLAB drops a last dimension of 1.
@@ -152,16 +176,7 @@ def _row_of(value: Mapping[str, Any], path: Path, name: str) -> _Row:
         raise ToolkitError(
             f"{len(ids)} objects and {poses.shape[2]} poses", path=path, field=f"{name}.poses"
         )
-    camera = value.get("rotation_translation_matrix")
-    filed = None
-    if camera is not None:
-        filed = np.eye(4)
-        filed[:3] = np.asarray(camera, np.float64)[:3, :4]
-    return _Row(
-        np.asarray(K, np.float64),
-        {int(i): pose_of(poses[:, :3, k], poses[:, 3, k], path) for k, i in enumerate(ids)},
-        filed,
-    )
+    return {int(i): pose_of(poses[:, :3, k], poses[:, 3, k], path) for k, i in enumerate(ids)}
 
 
 def open_clearpose(name: str, root: Path, part: str) -> ClearPose:

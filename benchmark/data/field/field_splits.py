@@ -4,37 +4,17 @@ Experimental splits are read from layouts that only third parties describe, or t
 authors was checked against.
 """
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 from benchmark.data.field.bop_frames import open_bop_frames
 from benchmark.data.field.clearpose import PARTS, open_clearpose
+from benchmark.data.field.glass_splits import GLASS
 from benchmark.data.field.hammer import Sensor, open_hammer
 from benchmark.data.field.housecat6d import open_housecat
 from benchmark.data.field.robi import open_robi
-from benchmark.data.field.source import FieldFrames
+from benchmark.data.field.source import field_split as _split
 from benchmark.data.field.transcg import Part, open_transcg
 from benchmark.data.field.transcg import Sensor as TransCGSensor
 from benchmark.data.frame import Material
-from benchmark.data.splits import DepthSource, Published, Split, where_to_get
-from std_toolkit.errors import ToolkitError
-
-
-def _split(opened: Callable[[Path], FieldFrames], **known: Any) -> Split:
-    """A split whose folder must have a frame of it; `known` are the fields of `Split`."""
-
-    def open_root(root: Path) -> DepthSource:
-        found = opened(root)
-        if not len(found):
-            hint = where_to_get(split)
-            raise ToolkitError(
-                "nothing of this split is here", path=root, value=split.name, hint=hint
-            )
-        return found
-
-    split = Split(open=open_root, **known)
-    return split
+from benchmark.data.splits import Published, Split
 
 
 def _hammer(sensor: Sensor, title: str, *, test: bool) -> Split:
@@ -244,7 +224,7 @@ ROBI = _split(
     ),
 )
 
-EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | {ROBI.name: ROBI}
+EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | {ROBI.name: ROBI} | GLASS
 
 
 def __getattr__(name: str) -> Split:

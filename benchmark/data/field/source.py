@@ -4,7 +4,7 @@ A reader lists its scenes and names the files of a frame; the frame is made from
 `DepthSource` asks for, it gives poses, meshes and the infrared pair, where the set has them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance
 from benchmark.data.loading import NO_COLOR, NO_DEPTH, FrameIndex, SceneFolder, about
-from benchmark.data.splits import FrameKey, SceneFiles
+from benchmark.data.splits import DepthSource, FrameKey, SceneFiles, Split, where_to_get
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.se3 import nearest_rotation
@@ -68,7 +68,10 @@ class FieldFrames:
         return [FrameKey(scene.name, stem) for scene, stem in self.index]
 
     def paths(self, scene: SceneFolder, stem: str) -> Files:
-        """Return the files of a frame by content, which need not exist."""
+        """Return the files of a frame by content, which need not exist.
+
+        Without a file of raw depth, no sensor measured any: it is 0 everywhere.
+        """
         raise NotImplementedError
 
     def documents(self, scene: SceneFolder, stem: str) -> Files:  # noqa: ARG002
@@ -106,9 +109,11 @@ class FieldFrames:
         color, raw = NO_COLOR, NO_DEPTH
         if sensor:
             color = self.color(files[COLOR])
-            raw = self.raw(scene, stem, files[RAW])
+            raw = np.zeros(color.shape[:2], np.float32)
+            if RAW in files:
+                raw = self.raw(scene, stem, files[RAW])
             for what, image in ((COLOR, color), (RAW, raw)):
-                _check_shape(files[what], image, found.camera)
+                _check_shape(files.get(what, files[COLOR]), image, found.camera)
         key = FrameKey(scene.name, stem)
         try:
             return DepthFrame(
@@ -163,6 +168,22 @@ class FieldFrames:
     def notes(self) -> Sequence[str]:
         """Return what the set's own counts say of the frames that are here."""
         return ()
+
+
+def field_split(opened: Callable[[Path], FieldFrames], **known: Any) -> Split:
+    """A split whose folder must have a frame of it; `known` are the fields of `Split`."""
+
+    def open_root(root: Path) -> DepthSource:
+        found = opened(root)
+        if not len(found):
+            hint = where_to_get(split)
+            raise ToolkitError(
+                "nothing of this split is here", path=root, value=split.name, hint=hint
+            )
+        return found
+
+    split = Split(open=open_root, **known)
+    return split
 
 
 def _check_shape(path: Path, image: NDArray[Any], camera: Camera) -> None:
@@ -251,6 +272,29 @@ def pose_of(R: ArrayLike, t: ArrayLike, path: Path) -> SE3:
         return SE3(nearest_rotation(R), np.asarray(t, np.float64).reshape(3))
     except (ToolkitError, ValueError) as error:
         raise ToolkitError(f"no pose: {error}", path=path) from error
+
+
+def unit_of_place(t: ArrayLike, path: Path) -> float:
+    """Return the metres per number of a place before the camera, for sets that do not state it.
+
+    A depth camera sees from centimetres to metres: numbers below 10 are metres, above 50 mm.
+
+    Args:
+        t: x, y, z in the camera's frame, z forward.
+        path: of the file, for errors.
+
+    Raises:
+        ToolkitError: behind the camera, or neither.
+    """
+    z = float(np.asarray(t, np.float64).ravel()[2])
+    if 0.01 < z < 10:
+        return 1.0
+    if 50 < z < 10_000:
+        return 0.001
+    raise ToolkitError(
+        "an object stands before the camera, in metres or in millimetres", path=path,
+        field="translation", value=f"z = {z:g}",
+    )  # fmt: skip
 
 
 def render_objects(

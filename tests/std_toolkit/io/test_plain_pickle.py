@@ -97,3 +97,37 @@ def test_a_bomb_is_one_line_and_runs_nothing(tmp_path: Path, bomb: str) -> None:
     assert time.monotonic() - begin < 5
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
     assert not mark.exists()
+
+
+class Point:
+    """A record of another program."""
+
+    def __init__(self, x: object) -> None:
+        self.x = x
+
+
+def test_a_record_that_the_caller_names_is_a_dict(tmp_path: Path) -> None:
+    path = tmp_path / "a.pkl"
+    path.write_bytes(pickle.dumps([Point(Point(np.arange(3))), Point("text")]))
+    records = [(__name__, "Point")]
+    first, second = read_pickle(path, records=records)
+    assert array_in(first["x"]["x"], path, "x").tolist() == [0, 1, 2]
+    assert second == {"x": "text"} and isinstance(second, dict)
+    with pytest.raises(ToolkitError, match="Point, which could run anything"):
+        read_pickle(path)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        f"c{__name__}\nPoint\n(tR.".encode(),  # called
+        f"c{__name__}\nPoint\n(](KAKBeetR.".encode(),
+        b"\x80\x02" + f"c{__name__}\nPoint\n)\x81]b.".encode(),  # filled with a list
+        b"\x80\x02" + f"c{__name__}\nPoint\n)\x81}}K\x01K\x02sb.".encode(),  # fields without names
+    ],
+)
+def test_a_record_is_filled_with_named_fields_alone(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "a.pkl"
+    path.write_bytes(data)
+    with pytest.raises(ToolkitError, match="no pickle of plain values"):
+        read_pickle(path, records=[(__name__, "Point")])
