@@ -79,9 +79,8 @@ KEYS: dict[str, tuple[str, ...]] = {
     },
     **{f"xyzibd-val-{s}": ("xyzibd2025",) for s in ("realsense", "xyz", "photoneo")},
     "ipd-val-photoneo": ("kalra2024ipd",),
-    # The layout is of BOP; the entry of the paper of the set is not verified.
     **{
-        f"pace-{part}": ("hodan2018bop",)
+        f"pace-{part}": ("you2024pace",)
         for part in ("test", "val-inst", "val-pbr-cat", "train-pbr-cat", "train-pbr-inst")
     },
     **{f"housecat6d-{part}": ("jung2024housecat6d",) for part in ("train", "val", "test")},
