@@ -224,7 +224,8 @@ def _listed(folder: Path, layers: str) -> dict[tuple[str, int], Path]:
             f"the numbers of the files {told}", path=folder, value=sorted(numbers),
             hint="give --layers odd or --layers counted; files are KEY_LAYER.png or .npy",
         )  # fmt: skip
-    table, found = _NUMBERS[fitting[0]], {}
+    table = _NUMBERS[fitting[0]]
+    found: dict[tuple[str, int], Path] = {}
     for path, match in named:
         key = match[1], table[int(match[2])] if match[2] else LAYERS[0]
         if key in found:

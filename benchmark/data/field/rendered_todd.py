@@ -147,7 +147,7 @@ def open_rendered_todd(name: str, root: Path) -> RenderedTodd:
         root: folder of the scenes, or one above it.
     """
     forms = [re.compile(re.escape(n).replace(r"\{\}", r"(\d+)")) for n in (_LEFT, _DEPTH)]
-    scenes = []
+    scenes: list[SceneFolder] = []
     for folder in (p for top in (root, *folders_in(root)) for p in (top, *folders_in(top))):
         stems = {
             match[1]
