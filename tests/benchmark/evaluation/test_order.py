@@ -124,7 +124,7 @@ def test_what_is_wrong_by_hand(tmp_path: Path) -> None:
     flat = np.full((SIZE[1], SIZE[0]), 1500, np.uint16)
     assert cv2.imwrite(str(tmp_path / "p/0_3.png"), flat)
     found = scored(tmp_path / "data", tmp_path / "p", subset="layer_all")
-    # The tuple of photo 0 that is not real is wrong; the back face lies between pane and wall.
+    # Of photo 0, the tuple that is not real is wrong; the back face is still before the wall.
     assert found[("pairs", "3")] == (1, 2) and found[("trips", "mixed")] == (2, 2)
     flat[:] = 2500
     assert cv2.imwrite(str(tmp_path / "p/0_3.png"), flat)
