@@ -195,6 +195,7 @@ _FIELD = (
     "xyzibd-val-realsense", "xyzibd-val-xyz", "xyzibd-val-photoneo", "ipd-val-photoneo",
     "pace-test", "pace-val-inst", "pace-val-pbr-cat", "pace-train-pbr-cat", "pace-train-pbr-inst",
     "housecat6d-train", "housecat6d-val", "housecat6d-test", "robi-ensenso",
+    "real275-test", "real275-train", "camera25-val", "camera25-train",
 )  # fmt: skip
 
 splits: Registry[Split] = Registry(

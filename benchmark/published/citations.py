@@ -86,6 +86,8 @@ KEYS: dict[str, tuple[str, ...]] = {
     },
     **{f"housecat6d-{part}": ("jung2024housecat6d",) for part in ("train", "val", "test")},
     "robi-ensenso": ("yang2021robi",),
+    **{f"real275-{part}": ("wang2019nocs",) for part in ("test", "train")},
+    **{f"camera25-{part}": ("wang2019nocs",) for part in ("val", "train")},
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),
