@@ -199,6 +199,7 @@ _FIELD = (
     *(f"{name}-{part}" for name in ("syn-todd", "todd") for part in ("train", "val", "test")),
     "syn-todd-rendered",
     *(f"gn-trans-{part}" for part in ("train", "test-seen", "test-similar", "test-novel")),
+    "real275-test", "real275-train", "camera25-val", "camera25-train",
 )  # fmt: skip
 
 splits: Registry[Split] = Registry(

@@ -96,6 +96,8 @@ KEYS: dict[str, tuple[str, ...]] = {
         f"gn-trans-{p}": ("shi2024asgrasp", "fang2020graspnet")
         for p in ("train", "test-seen", "test-similar", "test-novel")
     },
+    **{f"real275-{part}": ("wang2019nocs",) for part in ("test", "train")},
+    **{f"camera25-{part}": ("wang2019nocs",) for part in ("val", "train")},
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),

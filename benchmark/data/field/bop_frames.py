@@ -31,6 +31,7 @@ from benchmark.data.field.source import (
     render_objects,
 )
 from benchmark.data.frame import BACKGROUND, Instance, Material
+from benchmark.data.labelled import MeshFile
 from benchmark.data.loading import FrameIndex, SceneFolder
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
@@ -82,7 +83,9 @@ class BopFrames(FieldFrames):
         rows = self._scene(scene).gt.get(int(stem), [])
         if len(rows) >= BACKGROUND:
             raise ToolkitError("more objects than a mask has ids", path=scene.path, value=len(rows))
-        placed = {i: (self._model(r.obj_id), "mm", r.T_cam_obj) for i, r in enumerate(rows)}
+        placed = {
+            i: (MeshFile(self._model(r.obj_id), "mm"), r.T_cam_obj) for i, r in enumerate(rows)
+        }
         mask = np.full((camera.height, camera.width), BACKGROUND, np.uint8)
         for i in placed:
             visible = read_ids(files[f"mask {i}"])

@@ -69,12 +69,12 @@ class FieldLabels:
             # A mask of all objects together says the material of each.
             kind = known.get(number) or (frame.instances[0] if len(known) == 1 else None)
             model = (kind.model if kind else "") or f"{number:06d}"
-            path = meshes.get(number)
+            mesh = meshes.get(number)
             if self.models is not None:
-                path = named_mesh(self.models, (model, str(number))) or path
+                own = named_mesh(self.models, (model, str(number)))
+                mesh = mesh if own is None else MeshFile(own)
             stated = None if kind is None else MATERIALS[kind.material]
             material = self.material if stated in (None, "raw") and self.material else stated
-            mesh = None if path is None else MeshFile(path)
             objects.append(
                 LabelledObject(f"{model}_{number}", model, mesh, pose, material or "raw")
             )

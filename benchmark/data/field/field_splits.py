@@ -9,6 +9,8 @@ from benchmark.data.field.clearpose import PARTS, open_clearpose
 from benchmark.data.field.glass_splits import GLASS
 from benchmark.data.field.hammer import Sensor, open_hammer
 from benchmark.data.field.housecat6d import open_housecat
+from benchmark.data.field.nocs_sets import Set as NocsSet
+from benchmark.data.field.nocs_sets import open_nocs
 from benchmark.data.field.robi import open_robi
 from benchmark.data.field.source import field_split as _split
 from benchmark.data.field.transcg import Part, open_transcg
@@ -207,6 +209,55 @@ def _housecat(part: str, scenes: int) -> Split:
 
 HOUSECAT = {s.name: s for s in (_housecat("train", 34), _housecat("val", 2), _housecat("test", 5))}
 
+
+def _nocs(data: NocsSet, part: str, about: str, published: tuple[Published, ...]) -> Split:
+    name = f"{'real275' if data == 'Real' else 'camera25'}-{part}"
+    scene = "scene_1" if data == "Real" else "00000"
+    models = f"real_{part}/NAME.obj" if data == "Real" else f"{part}/SYNSET/MODEL/model.obj"
+    pickled = {"test": "gts/real_test/", "val": "gts/val/"}.get(part)
+    labels = "fitted to coordinates and depth, as the authors do"
+    if pickled:
+        labels = f"those of {pickled}; where there is none, {labels}"
+    return _split(
+        lambda root: open_nocs(name, root, data, part),
+        name=name,
+        about=about,
+        layout=f"ROOT/{data}/{part}/{scene}/0000_color.png, _depth.png, _mask.png, _coord.png, "
+        f"_meta.txt, ROOT/obj_models/{models}",
+        page="https://github.com/hughw19/NOCS_CVPR2019",
+        published=published,
+        card=(
+            "for poses: no pair of raw and true depth is published",
+            "truth: rendered from the meshes at the labels, on masks; objects only; its error is "
+            "that of the labels",
+            f"labels: {labels}",
+            "scored by the authors: poses and boxes of six classes; laptops are read and, as the "
+            "benchmark has no such class, not scored",
+            "materials are not filed",
+            *(("third parties miss files of 3,792 frames of val",) if part == "val" else ()),
+            *(
+                ()
+                if data == "Real"
+                else ("not verified: whether depth beside the colour image has the background",)
+            ),
+            "licence: non-commercial (code MIT)",
+        ),
+    )
+
+
+NOCS = {
+    split.name: split
+    for split in (
+        _nocs("Real", "test", "real, six classes, new instances",
+              (Published("paper", 2750, 6),)),
+        _nocs("Real", "train", "real, six classes, training", (Published("paper", 4300, 7),)),
+        _nocs("CAMERA", "val", "synthetic objects on real tables, six classes, CAMERA25",
+              (Published("paper", 25_000),)),
+        _nocs("CAMERA", "train", "synthetic objects on real tables, six classes, training",
+              (Published("paper", 275_000),)),
+    )
+}  # fmt: skip
+
 ROBI = _split(
     lambda root: open_robi("robi-ensenso", root),
     name="robi-ensenso",
@@ -224,7 +275,7 @@ ROBI = _split(
     ),
 )
 
-EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | {ROBI.name: ROBI} | GLASS
+EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | NOCS | {ROBI.name: ROBI} | GLASS
 
 
 def __getattr__(name: str) -> Split:

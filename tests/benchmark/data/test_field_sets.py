@@ -282,7 +282,7 @@ def test_housecat6d(tmp_path: Path, protocol: int) -> None:
     named = {i.mask_id: (i.category, i.model, i.material) for i in frame.instances}
     assert named[1] == ("glass", "glass-new_3", Material.TRANSPARENT)
     assert named[2] == ("cutlery", "cutlery-fork_1", Material.SPECULAR)
-    assert all(path.is_file() for path in source.meshes(0).values())
+    assert all(mesh.path.is_file() for mesh in source.meshes(0).values())
 
 
 @pytest.mark.parametrize("truth", ["GT_Depth", "GT_Depth_Raw"])
