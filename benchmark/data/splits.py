@@ -195,6 +195,7 @@ _FIELD = (
     "xyzibd-val-realsense", "xyzibd-val-xyz", "xyzibd-val-photoneo", "ipd-val-photoneo",
     "pace-test", "pace-val-inst", "pace-val-pbr-cat", "pace-train-pbr-cat", "pace-train-pbr-inst",
     "housecat6d-train", "housecat6d-val", "housecat6d-test", "robi-ensenso",
+    "phocal-train", "phocal-test",
     *(f"transpose-{side}-{part}" for side in ("right", "left") for part in ("test", "train")),
     *(f"{name}-{part}" for name in ("syn-todd", "todd") for part in ("train", "val", "test")),
     "syn-todd-rendered",

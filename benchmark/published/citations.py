@@ -84,6 +84,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         for part in ("test", "val-inst", "val-pbr-cat", "train-pbr-cat", "train-pbr-inst")
     },
     **{f"housecat6d-{part}": ("jung2024housecat6d",) for part in ("train", "val", "test")},
+    **{f"phocal-{part}": ("wang2022phocal",) for part in ("train", "test")},
     "robi-ensenso": ("yang2021robi",),
     **{
         f"transpose-{s}-{p}": ("kim2024transpose",)

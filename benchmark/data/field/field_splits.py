@@ -11,6 +11,8 @@ from benchmark.data.field.hammer import Sensor, open_hammer
 from benchmark.data.field.housecat6d import open_housecat
 from benchmark.data.field.nocs_sets import Set as NocsSet
 from benchmark.data.field.nocs_sets import open_nocs
+from benchmark.data.field.phocal import Part as PhoCaLPart
+from benchmark.data.field.phocal import open_phocal
 from benchmark.data.field.robi import open_robi
 from benchmark.data.field.source import field_split as _split
 from benchmark.data.field.transcg import Part, open_transcg
@@ -207,6 +209,30 @@ def _housecat(part: str, scenes: int) -> Split:
     )
 
 
+def _phocal(part: PhoCaLPart) -> Split:
+    name = f"phocal-{part}"
+    return _split(
+        lambda root: open_phocal(name, root, part),
+        name=name,
+        about=f"real, polarisation camera, glass and cutlery among 8 classes, {part} "
+        "(experimental)",
+        layout="ROOT/sequence_1/rgb/, depth/, mask/, rgb_scene_gt.json, train_test_split.npz, "
+        "ROOT/class_obj_taxonomy.json, ROOT/obj_models_small_size/",
+        page="https://arxiv.org/abs/2205.08811",
+        card=(
+            "experimental: layout by third parties; not checked on the files",
+            "truth: rendered from the meshes at the labels; objects only; occluders that are "
+            "no objects are not known",
+            "scored by the authors: not known; here on the objects' masks",
+            "train and test frames are of the same sequences",
+            "materials: glass as transparent, cutlery as specular; not filed by the authors",
+            "not verified: that test_idxs are numbers of frames, and that meshes are in metres",
+            "licence: not found",
+        ),
+    )
+
+
+PHOCAL = {s.name: s for s in (_phocal("train"), _phocal("test"))}
 HOUSECAT = {s.name: s for s in (_housecat("train", 34), _housecat("val", 2), _housecat("test", 5))}
 
 
@@ -275,7 +301,9 @@ ROBI = _split(
     ),
 )
 
-EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | NOCS | {ROBI.name: ROBI} | GLASS
+EVERY = (
+    HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | PHOCAL | NOCS | {ROBI.name: ROBI} | GLASS
+)
 
 
 def __getattr__(name: str) -> Split:
