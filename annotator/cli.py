@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from annotator.startup import front_end
@@ -35,9 +34,7 @@ def open_scene(options: AnnotateOptions) -> int:
         )
     if options.script is not None:
         script = importlib.import_module("annotator.session.script")
-        judge = importlib.import_module("std_toolkit.checks.label_check").LabelCheck()
-        doubt = importlib.import_module("annotator.app.pose_checks").doubt
-        doubt = partial(doubt, judge=judge)
+        doubt = importlib.import_module("annotator.app.pose_checks").ScriptDoubt()
         who, recover = options.annotator, options.recover
         done = script.run(
             options.scene, options.script, annotator=who, recover=recover, doubt=doubt

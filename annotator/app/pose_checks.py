@@ -266,6 +266,24 @@ def doubt(session: Session, name: str, *, judge: LabelCheck) -> str:
     return "" if verdict.grade == "fits" else verdict.text
 
 
+class ScriptDoubt:
+    """`doubt` for a script, by the limits of the last check of its scene, as in the window.
+
+    One judge serves all calls: what it measured once it does not measure again.
+    """
+
+    def __init__(self) -> None:
+        self.judge: LabelCheck | None = None
+
+    def __call__(self, session: Session, name: str) -> str:
+        from std_toolkit.checks.label_check import LabelCheck
+        from std_toolkit.scene.label_verdicts import options_of_last_check
+
+        if self.judge is None:
+            self.judge = LabelCheck(options_of_last_check(session.scene))
+        return doubt(session, name, judge=self.judge)
+
+
 def can_take_turn(c: Controller) -> bool:
     """Whether the texture of the selected object fits better, or scores higher, after a turn."""
     found = c.textures.get(c.selected or "")

@@ -37,11 +37,13 @@ class MeshFile:
         path: of the file.
         unit: of its numbers.
         diagonal_m: of the bounding box in metres, for a mesh that is centred and scaled to it.
+        mirrored: whether z is then flipped.
     """
 
     path: Path
     unit: str = "m"
     diagonal_m: float | None = None
+    mirrored: bool = False
 
     def load(self) -> trimesh.Trimesh:
         """The mesh in metres, in the frame of the labels.
@@ -60,6 +62,9 @@ def _load(file: MeshFile) -> trimesh.Trimesh:
     if file.diagonal_m is not None:
         centre, diagonal = nocs_frame(mesh)
         mesh.vertices = (np.asarray(mesh.vertices) - centre) * (file.diagonal_m / diagonal)
+    if file.mirrored:
+        mesh.vertices = np.asarray(mesh.vertices) * (1, 1, -1)
+        mesh.invert()  # keeps the outside out
     return mesh
 
 

@@ -193,11 +193,14 @@ _FIELD = (
     *(f"transcg-{sensor}-{part}" for sensor in ("d435", "l515")
       for part in ("test", "test-2022-10", "train")),
     "xyzibd-val-realsense", "xyzibd-val-xyz", "xyzibd-val-photoneo", "ipd-val-photoneo",
+    "pace-test", "pace-val-inst", "pace-val-pbr-cat", "pace-train-pbr-cat", "pace-train-pbr-inst",
     "housecat6d-train", "housecat6d-val", "housecat6d-test", "robi-ensenso",
+    "phocal-train", "phocal-test",
     *(f"transpose-{side}-{part}" for side in ("right", "left") for part in ("test", "train")),
     *(f"{name}-{part}" for name in ("syn-todd", "todd") for part in ("train", "val", "test")),
     "syn-todd-rendered",
     *(f"gn-trans-{part}" for part in ("train", "test-seen", "test-similar", "test-novel")),
+    "real275-test", "real275-train", "camera25-val", "camera25-train",
 )  # fmt: skip
 
 splits: Registry[Split] = Registry(

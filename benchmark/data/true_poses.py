@@ -121,11 +121,13 @@ class KnownBox:
         sides: (3,) sides of its bounding box in normalised coordinates, with norm 1.
         RT: (4, 4) its exact pose, including the diagonal in metres as scale; None if unknown.
         handle: handle of a mug whose mesh exists.
+        handle_visible: whether it is visible, as the set states it; None if it does not.
     """
 
     sides: Floats
     RT: Floats | None = None
     handle: MugHandle | None = None
+    handle_visible: bool | None = None
 
 
 @runtime_checkable
@@ -214,9 +216,13 @@ def true_poses(frame: DepthFrame, boxes: Mapping[int, KnownBox]) -> list[TruePos
             RT[:3, :3] *= diagonal
         if np.linalg.det(RT[:3, :3]) > 0:
             handle = None if known is None else known.handle
-            shown = handle is None or handle.is_visible(coordinates)
+            stated = None if known is None else known.handle_visible
+            if stated is None:
+                stated = handle is None or handle.is_visible(coordinates)
             found.append(
-                TruePose(instance, RT, sides / diagonal, pixels, shown, box_known=known is not None)
+                TruePose(
+                    instance, RT, sides / diagonal, pixels, stated, box_known=known is not None
+                )
             )
     return found
 

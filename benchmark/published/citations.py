@@ -79,7 +79,12 @@ KEYS: dict[str, tuple[str, ...]] = {
     },
     **{f"xyzibd-val-{s}": ("xyzibd2025",) for s in ("realsense", "xyz", "photoneo")},
     "ipd-val-photoneo": ("kalra2024ipd",),
+    **{
+        f"pace-{part}": ("you2024pace",)
+        for part in ("test", "val-inst", "val-pbr-cat", "train-pbr-cat", "train-pbr-inst")
+    },
     **{f"housecat6d-{part}": ("jung2024housecat6d",) for part in ("train", "val", "test")},
+    **{f"phocal-{part}": ("wang2022phocal",) for part in ("train", "test")},
     "robi-ensenso": ("yang2021robi",),
     **{
         f"transpose-{s}-{p}": ("kim2024transpose",)
@@ -92,6 +97,8 @@ KEYS: dict[str, tuple[str, ...]] = {
         f"gn-trans-{p}": ("shi2024asgrasp", "fang2020graspnet")
         for p in ("train", "test-seen", "test-similar", "test-novel")
     },
+    **{f"real275-{part}": ("wang2019nocs",) for part in ("test", "train")},
+    **{f"camera25-{part}": ("wang2019nocs",) for part in ("val", "train")},
     # Protocols; that of ClearGrasp has the name of its method.
     "paper": ("dai2022dreds",),
     "transcg": ("fang2022transcg",),

@@ -13,11 +13,8 @@ from std_toolkit.scene.judgement import Grade
 from std_toolkit.scene.model import Count, Document, ObjectId, ScaleEstimate, ScaleReport
 
 Severity = Literal["high", "medium", "low"]
-
 Verdict = Grade
-
 Number = float | None
-
 Source = Literal["contour", "depth", "texture", "support", "label", "views", "judge"]
 
 

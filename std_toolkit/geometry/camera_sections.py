@@ -32,6 +32,10 @@ _OF_LENS = re.compile(r"dist|lens|camera|param|resolution|model|fisheye|mirror|s
 _ANDROID = re.compile(r"(?:^|\.)lens\.((?:radialD|d)istortion\w*)$")
 _SUFFIXED = re.compile(r"^(fx|fy|cx|cy|mx|my|ppx|ppy|k[1-6]|p[12])_([a-z]\w*)$")
 _PREFIXED = re.compile(r"^(\w*[a-z0-9])_(fx|fy|cx|cy|ppx|ppy|k[1-6]|p[12])$")
+# info.txt of ScanNet's sensor files and of BundleFusion.
+_OF_SENSOR_FILE = re.compile(
+    r"^m_(?:calibration(Color|Depth)(Intrinsic)|(color|depth)(Width|Height))$"
+)
 _NUMBERED = re.compile(
     r"^(K|M|D|mtx|[cC]amera_?[mM]atrix|CM|dist|[dD]ist_?[cC]oeffs?|distortion)_?"
     r"([0-9]|left|right|Left|Right|L|R|l|r|color|rgb|depth|ir)$"
@@ -47,6 +51,9 @@ def expanded(data: Mapping[str, Any]) -> dict[str, Any]:
         flat = not isinstance(value, Mapping | list) and value is not None
         if match := _ANDROID.search(key):
             found[f"lens{match.group(1)[0].upper()}{match.group(1)[1:]}"] = value
+        elif match := _OF_SENSOR_FILE.match(key):
+            group, field = (match.group(1) or match.group(3)).lower(), match.group(2)
+            groups.setdefault(group, {})[field or match.group(4)] = value
         elif "." in key:
             group, _, last = key.rpartition(".")
             groups.setdefault(group, {})[last] = value

@@ -255,8 +255,15 @@ def _of_angle(
             hint="give --intrinsics fx,fy,cx,cy",
         )  # fmt: skip
     f = size[0] / 2 / math.tan(angle / 2)
+    fy = f
+    if "cameraangley" in plain:
+        key, value = plain["cameraangley"]
+        angle = number(value, key)
+        if not 0 < angle < math.pi:
+            raise ToolkitError("must be an angle of view, radians", field=key, value=value)
+        fy = size[1] / 2 / math.tan(angle / 2)
     cx, cy = values.get("cx", size[0] / 2), values.get("cy", size[1] / 2)
-    return Intrinsics(f, f, cx - 0.5, cy - 0.5)
+    return Intrinsics(f, fy, cx - 0.5, cy - 0.5)
 
 
 def _of_colmap(name: str, plain: Mapping[str, tuple[str, Any]]) -> FiledCamera:

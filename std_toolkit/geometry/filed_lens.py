@@ -53,13 +53,13 @@ _LENSLIKE = re.compile(
 )
 _NO_LENS = re.compile(
     r"(min|max|near|far|focus|working|threshold|thr|th)dist|dist(min|max|th|thresh|threshold)$"
-    r"|undist|intrinsiccoeff|lens(pos|id|name|serial|mount|focus|spec|shading|facing|intrinsiccalib|info|aperture|focal)"
+    r"|undist|^numradial|^estimate|intrinsiccoeff|lens(pos|id|name|serial|mount|focus|spec|shading|facing|intrinsiccalib|info|aperture|focal)"
     r"|model(id|path|file|number|index|nr|year)|(cad|mesh|object|depth|noise|imu|world)model"
 )
 # Names that mention one of these are lens models other than OpenCV's, not names of devices.
 _FOREIGN = re.compile(
     "inverse|modified|fisheye|equi|kannala|theta|omni|eucm|unified|^ds$|doublesphere|spher|division"
-    "|fov|mei$|scaramuzza|thinprism|cataptric"
+    r"|fov|mei$|scaramuzza|thinprism|cataptric|ortho|vr180|radial\d"
 )
 _NOTHING = ("", "none", "null", "false", "no", "0", "identity")
 

@@ -27,6 +27,7 @@ _SIDES = re.compile(r"(\d{1,6}) *[x*×,] *(\d{1,6})")
 # Metres per unit below 1, units per metre above 50; others are not clear.
 _DEPTH_UNIT = (
     "depthmapfactor",
+    "mdepthshift",
     "pngdepthscale",
     "depthscale",
     "depthfactor",
@@ -181,13 +182,15 @@ def filed_depth_unit(
             value = float(value)
         if isinstance(value, bool) or not isinstance(value, int | float):
             continue
+        # BOP's depth_scale is in millimetres per unit.
+        if name == "depthscale" and "camk" in plain and 0 < value <= 10:
+            return float(f"{value / 1000:.12g}"), key
         if 50 <= value <= 1e6:
             return 1 / value, key
         if name == "scale" and not of_depth:
             continue
         if 0 < value <= 0.02:
             return float(value), key
-        # BOP's depth_scale is in millimetres per unit.
         if name == "depthscale" and {"fx", "fy", "cx", "cy"} <= plain.keys() and value <= 1:
             return float(f"{value / 1000:.12g}"), key
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -10,8 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh_damage import check_whole, refuse_piles, warn_of_loose_vertices
-from std_toolkit.geometry.mesh_records import read_records
+from std_toolkit.geometry.mesh_damage import (
+    check_whole,
+    refuse_piles,
+    warn_of_loose_vertices,
+    warn_of_unread_colors,
+)
+from std_toolkit.geometry.mesh_records import named_ply_colors, read_records
 from std_toolkit.geometry.obj_files import FilesBeside, ObjFiles, log_notes, read_obj
 from std_toolkit.geometry.obj_texture import CORNER_UV, read_corner_uv
 from std_toolkit.geometry.ray_caster import import_open3d
@@ -84,7 +90,12 @@ def load_mesh(
     except Exception as error:  # the parsers of trimesh raise many kinds of errors
         mesh = read_records(path)
         if mesh is None:
-            raise ToolkitError(f"cannot read the mesh: {error}", path=path) from error
+            commas = files is not None and re.search(rb"^v[ \t].*\d,\d", files.data, re.M)
+            raise ToolkitError(
+                f"cannot read the mesh: {error}",
+                path=path,
+                hint="numbers have decimal commas: write points" if commas else None,
+            ) from error
         mesh.metadata[SECOND_READER] = True
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         mesh = read_records(path)
@@ -99,6 +110,7 @@ def load_mesh(
         )
     check_whole(path, len(mesh.vertices), len(mesh.faces))
     warn_of_loose_vertices(path, len(mesh.vertices), mesh.faces)
+    warn_of_unread_colors(path, mesh)
     if not np.isfinite(mesh.vertices).all():
         raise ToolkitError("the mesh has vertices that are not finite", path=path)
     refuse_piles(path, mesh.vertices, mesh.faces)
@@ -130,13 +142,18 @@ def parse_mesh(source: Path | ObjFiles, *, data: bytes | None = None, kind: str 
 
     options: dict[str, Any] = {"process": False, "maintain_order": True}
     if data is not None:
+        data = named_ply_colors(data) if kind == "ply" else data
         loaded = trimesh.load(io.BytesIO(data), file_type=kind, **options)
     elif isinstance(source, ObjFiles):
         text = io.BytesIO(source.data)
         loaded = trimesh.load(text, file_type="obj", resolver=cast("Any", source), **options)
     else:
         beside = FilesBeside(source.parent)
-        loaded = trimesh.load(source, resolver=cast("Any", beside), **options)
+        file: Any = source
+        if source.suffix.lower() == ".ply":
+            file = io.BytesIO(named_ply_colors(source.read_bytes()))
+            options["file_type"] = "ply"
+        loaded = trimesh.load(file, resolver=cast("Any", beside), **options)
         for name in beside.missing:
             logger.warning("%s: %s is missing; the mesh is read without it", source, name)
     return loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded

@@ -1,8 +1,11 @@
 """Damaged mesh files: cut off, which parsers of text read as smaller meshes, or piled faces."""
 
+from __future__ import annotations
+
 import math
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +13,9 @@ from numpy.typing import NDArray
 from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.log import logger
+
+if TYPE_CHECKING:
+    import trimesh
 
 _HEADER_BYTES = 65536
 _TAIL_BYTES = 65536
@@ -85,6 +91,30 @@ def warn_of_loose_vertices(path: Path, vertices: int, faces: NDArray[np.int64]) 
     if loose:
         logger.warning(
             "%s: %d of %d vertices belong to no face; is the file cut off?", path, loose, vertices
+        )
+
+
+def warn_of_unread_colors(path: Path, mesh: trimesh.Trimesh) -> None:
+    """Warn about colours of a file that the mesh has lost: those of an OFF file, a plain one.
+
+    Materials of OBJ files have notes of their own (`obj_files.read_obj`).
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".off":
+        with path.open("rb") as file:
+            if b"COFF" in file.read(16).split(b"\n")[0]:
+                logger.warning("%s: colours of OFF files are not read", path)
+    material = getattr(mesh.visual, "material", None)
+    factor = getattr(material, "baseColorFactor", None)
+    if suffix not in (".glb", ".gltf") or factor is None:
+        return
+    color = np.asarray(factor, float)[:3]
+    if getattr(material, "baseColorTexture", None) is None and np.ptp(color) > 0:
+        logger.warning(
+            "%s: one colour, baseColorFactor %s, and no texture: it is not shown, and tells "
+            "no pose",
+            path,
+            " ".join(f"{c:g}" for c in color),
         )
 
 

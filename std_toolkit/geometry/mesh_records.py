@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from itertools import pairwise
 from pathlib import Path
@@ -36,7 +37,7 @@ def read_records(path: Path) -> trimesh.Trimesh | None:
     suffix = path.suffix.lower()
     try:
         if suffix == ".ply":
-            return _ply(path.read_bytes())
+            return _ply(named_ply_colors(path.read_bytes()))
         return _stl(path.read_bytes()) if suffix == ".stl" else None
     except (ValueError, KeyError, IndexError, struct.error, OverflowError) as error:
         raise ToolkitError(f"cannot read the mesh: {error}", path=path) from error
@@ -139,7 +140,10 @@ def _ply(data: bytes) -> trimesh.Trimesh:
             column = {p[0]: i for i, p in enumerate(properties)}
             vertices = rows[:, [column[c] for c in "xyz"]]
             if {"red", "green", "blue"} <= column.keys():
-                colors = rows[:, [column[c] for c in ("red", "green", "blue")]].astype(np.uint8)
+                stored = rows[:, [column[c] for c in ("red", "green", "blue")]]
+                is_share = properties[column["red"]][1] in ("f4", "f8")
+                colors = np.rint(stored * 255 if is_share else stored).clip(0, 255)
+                colors = colors.astype(np.uint8)
     faces = np.concatenate(triangles) if triangles else np.zeros((0, 3), np.int64)
     return trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False)
 
@@ -179,3 +183,16 @@ def _strips(index: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         ]
         found.append(np.array([r for r in rows if len(set(r)) == 3], np.int64).reshape(-1, 3))
     return found
+
+
+def named_ply_colors(data: bytes) -> bytes:
+    """A PLY file whose vertex colours are red, green, blue, not r, g, b or diffuse_red, ..."""
+    end = data.find(b"end_header", 0, _LARGEST_HEADER)
+    if end < 0:
+        return data
+    head = re.sub(rb" diffuse_(red|green|blue)(?=\s)", rb" \1", data[:end])
+    short = rb"(property\s+\w+\s+)(r|g|b)(?=\s)"
+    if {m[1] for m in re.findall(short, head)} == {b"r", b"g", b"b"}:
+        names = {b"r": b"red", b"g": b"green", b"b": b"blue"}
+        head = re.sub(short, lambda m: m.group(1) + names[m.group(2)], head)
+    return data if head == data[:end] else head + data[end:]

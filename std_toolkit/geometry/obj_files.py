@@ -181,7 +181,8 @@ def _plain_colors(text: str, used: set[str]) -> list[str]:
     if not used:
         return [f"no face names its material (usemtl): colour Kd {next(iter(colors.values()))} is "
                 "not shown"]  # fmt: skip
-    if len(used) == 1 and (only := colors.get(next(iter(used)))):
+    of_faces = {colors.get(name) for name in used}
+    if len(of_faces) == 1 and (only := of_faces.pop()):
         return [f"one colour, Kd {only}, and no texture: it is not shown, and tells no pose"]
     return []
 
@@ -246,14 +247,30 @@ class _Reader:
                     value=text,
                     hint="put materials and textures in the folder of the mesh",
                 )
-            if not path.is_file() or path.suffix.lower() not in (".mtl", ".png", ".jpg", ".jpeg"):
-                return None
-            return path
+            if path.is_file():
+                is_named = path.suffix.lower() in (".mtl", ".png", ".jpg", ".jpeg")
+                return path if is_named else None
         if not path.is_file():
+            if not quiet and (other := self._alike(source.parent, name)) is not None:
+                self.notes.append(f"{text} is missing; {other.name} is used")
+                return other
             if not quiet:
                 self.notes.append(f"{text} is missing; the mesh is read without it")
             return None
         return path
+
+    def _alike(self, folder: Path, name: str) -> Path | None:
+        """The only file of this name in other letters, or of a path of another machine."""
+        *folders, wanted = name.replace("\\", "/").split("/")
+        for start in range(len(folders) + 1):
+            place = _resolved(folder.resolve(), "/".join(folders[start:]) or ".")
+            if place is None or not place.is_relative_to(self.folder) or not place.is_dir():
+                continue
+            alike = [p for p in place.iterdir() if p.name.lower() == wanted.lower()]
+            found = [p for p in alike if p.is_file()]
+            if len(found) == 1 and found[0].resolve().is_relative_to(self.folder):
+                return found[0]
+        return None
 
     def material(self, path: Path) -> str:
         """The text of a material file, whose textures have the names of `files`."""

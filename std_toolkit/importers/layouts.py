@@ -20,6 +20,7 @@ _INTRINSICS = (
     "intrinsic.json", "camera_intrinsic.json", "camera_intrinsics.json", "camera_primesense.json",
     "camera_intrinsics.yaml", "camera-intrinsics.txt", "intrinsic.txt", "camera_info.yaml",
     "camera.yaml", "calibration.yaml", "calib.yaml", "cam_params.json", "transforms.json",
+    "info.txt", "_info.txt",
 )  # fmt: skip
 _POSES = ("groundtruth.txt", "traj.txt", "trajectory.log", "poses.txt", "transforms.json")
 _IMAGES = (".png", ".jpg", ".jpeg")

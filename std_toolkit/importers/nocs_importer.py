@@ -11,8 +11,9 @@ from std_toolkit.scene.document import check_name
 from std_toolkit.scene.sidecar import SIDECAR_NAME, find_sidecar
 
 DEPTH_SCALE = 0.001
-# Camera of the Real275 recordings, a constant of the public evaluation code.
+# Cameras of the Real275 recordings and of CAMERA25, constants of the public evaluation code.
 REAL275 = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
+CAMERA25 = Camera(640, 480, 577.5, 577.5, 319.5, 239.5)
 
 
 class NocsImporter:

@@ -73,6 +73,8 @@ def read_camera_document(path: Path, size: tuple[int, int] | None) -> Any:
         return _numbered(read_json(path))
     if (rows := _colmap_rows(text)) is not None:
         return rows
+    if blocks := _titled(text):
+        return blocks
     if _YAML_KEY.search(text):
         return _yaml(text, path)
     if _SECTION.search(text) or _EQUATION.search(text):
@@ -139,6 +141,33 @@ def _labelled(text: str) -> dict[str, Any]:
             return {}
         found[words[0]] = _values(words[1:])
     return found
+
+
+def _titled(text: str) -> dict[str, Any]:
+    """Titles with lines of numbers below, as ROS's camera_calibration writes ost.txt.
+
+    Sections become one; empty if a line is something else, or no matrix is among them.
+    """
+    found: dict[str, list[float]] = {}
+    title = ""
+    for line in text.splitlines():
+        words = line.split("#")[0].split()
+        if not words or _SECTION.fullmatch(line.split("#")[0].strip()):
+            continue
+        if all(_WORD.fullmatch(w) for w in words):
+            if not title:
+                return {}
+            found[title] += map(_number, words)
+        elif re.fullmatch(r"[A-Za-z_ ]+", " ".join(words)) and title != " ".join(words):
+            title = " ".join(words)
+            if title in found:  # of a second camera
+                return {}
+            found[title] = []
+        else:
+            return {}
+    if len(found.get("camera matrix", ())) != 9:
+        return {}
+    return {k: v[0] if len(v) == 1 else v for k, v in found.items()}
 
 
 def _number(word: str) -> float:

@@ -383,8 +383,7 @@ def _refine(model: Any, poses: dict[int, SE3], median_px: float, options: PoseOp
 def align_poses(source: Sequence[SE3], target: Sequence[SE3]) -> tuple[float, SE3]:
     """Return the similarity (scale, rotation and translation) from source to target poses.
 
-    The rotation follows from the orientations of the cameras, so that positions on a straight
-    line determine the similarity, too.
+    The rotation follows from the orientations: positions may lie on a straight line.
 
     Args:
         source: N >= 2 poses T_a_cam.

@@ -1,4 +1,4 @@
-"""XYZ-IBD and IPD, in BOP's layout with several sensors: raw depth beside depth of the labels.
+"""XYZ-IBD, IPD and PACE, in BOP's layout: raw depth beside depth of the labels.
 
 <root>/val/SCENE/gray_xyz/000000.png, rgb_realsense/, depth_realsense/, mask_visib_realsense/
 <root>/val/SCENE/scene_camera_realsense.json, scene_gt_realsense.json
@@ -7,8 +7,11 @@
 True depth is not published: it is rendered from the models at the labels, on the visible masks.
 Off the objects there is none. Ground truth is public for `val` only.
 
+PACE has one sensor, and files without its name: depth/, mask_visib/, scene_gt.json. Its simulated
+depth is in tenths of a millimetre; masks may have three equal channels.
+
 Source: `dataset_params.py` and docs/bop_datasets_format.md of github.com/thodan/bop_toolkit,
-github.com/demianhj/XYZ-IBD, github.com/intrinsic-ai/ipd.
+github.com/demianhj/XYZ-IBD, github.com/intrinsic-ai/ipd; README of github.com/qq456cvb/PACE.
 """
 
 from collections.abc import Mapping
@@ -28,6 +31,7 @@ from benchmark.data.field.source import (
     render_objects,
 )
 from benchmark.data.frame import BACKGROUND, Instance, Material
+from benchmark.data.labelled import MeshFile
 from benchmark.data.loading import FrameIndex, SceneFolder
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
@@ -44,22 +48,24 @@ class BopFrames(FieldFrames):
 
     Attributes:
         root: of the data set.
-        sensor: such as `realsense`.
+        sensor: such as `realsense`; "" of a set with one.
         material: of all objects; the layout does not say it.
+        depth_unit: metres per number where the set has one; None: `depth_scale` of the frame.
     """
 
     root: Path = Path()
     sensor: str = ""
     material: Material = Material.RAW
+    depth_unit: float | None = None
 
     def paths(self, scene: SceneFolder, stem: str) -> Files:
-        document, top = self._scene(scene), Path(scene.path)
+        document = self._scene(scene)
         color = next(
             (found for kind in _PICTURES if (found := document.picture(kind, int(stem)))), None
         )
         files = {
-            COLOR: color or top / f"rgb_{self.sensor}" / f"{stem}.png",
-            RAW: document.picture("depth", int(stem)) or top / f"depth_{self.sensor}/{stem}.png",
+            COLOR: color or document.pictures("rgb") / f"{stem}.png",
+            RAW: document.picture("depth", int(stem)) or document.pictures("depth") / f"{stem}.png",
         }
         masks = document.pictures("mask_visib")
         rows = document.gt.get(int(stem), [])
@@ -77,7 +83,9 @@ class BopFrames(FieldFrames):
         rows = self._scene(scene).gt.get(int(stem), [])
         if len(rows) >= BACKGROUND:
             raise ToolkitError("more objects than a mask has ids", path=scene.path, value=len(rows))
-        placed = {i: (self._model(r.obj_id), "mm", r.T_cam_obj) for i, r in enumerate(rows)}
+        placed = {
+            i: (MeshFile(self._model(r.obj_id), "mm"), r.T_cam_obj) for i, r in enumerate(rows)
+        }
         mask = np.full((camera.height, camera.width), BACKGROUND, np.uint8)
         for i in placed:
             visible = read_ids(files[f"mask {i}"])
@@ -94,8 +102,9 @@ class BopFrames(FieldFrames):
         return Maps(true, mask, camera, instances)
 
     def raw(self, scene: SceneFolder, stem: str, path: Path) -> np.ndarray:
-        """See `FieldFrames`; the unit is that of the frame."""
-        return read_field_depth(path, self._scene(scene).cameras[int(stem)].depth_scale_m)
+        """See `FieldFrames`; the unit is that of the set, or of the frame."""
+        unit = self.depth_unit or self._scene(scene).cameras[int(stem)].depth_scale_m
+        return read_field_depth(path, unit)
 
     def poses(self, index: int) -> dict[int, SE3]:
         """See `FieldFrames`."""
@@ -123,7 +132,13 @@ class BopFrames(FieldFrames):
 
 
 def open_bop_frames(
-    name: str, root: Path, data: str, sensor: str, material: Material, part: str = "val"
+    name: str,
+    root: Path,
+    data: str,
+    sensor: str,
+    material: Material,
+    part: str = "val",
+    depth_unit: float | None = None,
 ) -> BopFrames:
     """List the frames of a sensor.
 
@@ -134,6 +149,7 @@ def open_bop_frames(
         sensor: of it.
         material: of its objects.
         part: folder of the scenes.
+        depth_unit: see `BopFrames`.
 
     Raises:
         ToolkitError: a document is damaged.
@@ -145,4 +161,11 @@ def open_bop_frames(
             ids = sorted(read_bop_scene(folder, sensor).cameras)
             stems = tuple(f"{i:06d}" for i in ids)
             scenes.append(SceneFolder(folder.name, str(folder), stems))
-    return BopFrames(name, FrameIndex(tuple(scenes)), root=top, sensor=sensor, material=material)
+    return BopFrames(
+        name,
+        FrameIndex(tuple(scenes)),
+        root=top,
+        sensor=sensor,
+        material=material,
+        depth_unit=depth_unit,
+    )

@@ -69,12 +69,12 @@ class FieldLabels:
             # A mask of all objects together says the material of each.
             kind = known.get(number) or (frame.instances[0] if len(known) == 1 else None)
             model = (kind.model if kind else "") or f"{number:06d}"
-            path = meshes.get(number)
+            mesh = meshes.get(number)
             if self.models is not None:
-                path = named_mesh(self.models, (model, str(number))) or path
+                own = named_mesh(self.models, (model, str(number)))
+                mesh = mesh if own is None else MeshFile(own)
             stated = None if kind is None else MATERIALS[kind.material]
             material = self.material if stated in (None, "raw") and self.material else stated
-            mesh = None if path is None else MeshFile(path)
             objects.append(
                 LabelledObject(f"{model}_{number}", model, mesh, pose, material or "raw")
             )
@@ -104,12 +104,14 @@ class BopLabels:
         models: folder of the models, millimetres.
         material: of objects; exports of the toolkit state it themselves.
         sensor: of sets with several.
+        depth_unit: metres per number; None: `depth_scale` of the frame.
     """
 
     index: FrameIndex
     models: Path
     material: Material = "diffuse"
     sensor: str = ""
+    depth_unit: float | None = None
     _kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def keys(self) -> list[FrameKey]:
@@ -157,7 +159,9 @@ class BopLabels:
         row = scene.cameras[number]
         camera = Camera(*image_size(path), *row.intrinsics)
         depth = scene.picture("depth", number)
-        sensor = None if depth is None else read_field_depth(depth, row.depth_scale_m)
+        sensor = (
+            None if depth is None else read_field_depth(depth, self.depth_unit or row.depth_scale_m)
+        )
         if sensor is not None and sensor.shape != (camera.height, camera.width):
             raise ToolkitError("is not of the colour image's size", path=depth, value=sensor.shape)
         return FrameImages(camera, read_color(path, size=camera.size), sensor)

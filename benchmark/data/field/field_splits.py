@@ -9,6 +9,10 @@ from benchmark.data.field.clearpose import PARTS, open_clearpose
 from benchmark.data.field.glass_splits import GLASS
 from benchmark.data.field.hammer import Sensor, open_hammer
 from benchmark.data.field.housecat6d import open_housecat
+from benchmark.data.field.nocs_sets import Set as NocsSet
+from benchmark.data.field.nocs_sets import open_nocs
+from benchmark.data.field.phocal import Part as PhoCaLPart
+from benchmark.data.field.phocal import open_phocal
 from benchmark.data.field.robi import open_robi
 from benchmark.data.field.source import field_split as _split
 from benchmark.data.field.transcg import Part, open_transcg
@@ -152,6 +156,39 @@ BOP = {
 }  # fmt: skip
 
 
+def _pace(part: str, about: str, unit: float | None) -> Split:
+    name = f"pace-{part.replace('_', '-')}"
+    return _split(
+        lambda root: open_bop_frames(name, root, "pace", "", Material.RAW, part, unit),
+        name=name,
+        about=about,
+        layout=f"ROOT/pace/{part}/000000/rgb/, depth/, mask_visib/, scene_gt.json, "
+        "ROOT/pace/models/",
+        page="https://github.com/qq456cvb/PACE",
+        card=(
+            "depth: " + ("0.1 mm a number" if unit else "the frame's depth_scale (1 mm)"),
+            "truth: rendered from the models at the labels, on visible masks; objects only; "
+            "its error is that of the labels (`std-bench audit`)",
+            "scored by the authors: poses, of instances by bop_toolkit, of categories by AP; "
+            "depth restoration here on the visible masks",
+            "materials are not filed",
+            "licence: MIT; models 693-1260 CC BY, 1165 and 1166 under GrabCAD's terms",
+        ),
+    )
+
+
+PACE = {
+    split.name: split
+    for split in (
+        _pace("test", "real, three cameras, 238 objects (whole set)", None),
+        _pace("val_inst", "real, three cameras, the instances' validation", None),
+        _pace("val_pbr_cat", "simulated, the categories' validation", 0.0001),
+        _pace("train_pbr_cat", "simulated, training of categories", 0.0001),
+        _pace("train_pbr_inst", "simulated, training of instances", 0.0001),
+    )
+}
+
+
 def _housecat(part: str, scenes: int) -> Split:
     name = f"housecat6d-{part}"
     return _split(
@@ -172,7 +209,80 @@ def _housecat(part: str, scenes: int) -> Split:
     )
 
 
+def _phocal(part: PhoCaLPart) -> Split:
+    name = f"phocal-{part}"
+    return _split(
+        lambda root: open_phocal(name, root, part),
+        name=name,
+        about=f"real, polarisation camera, glass and cutlery among 8 classes, {part} "
+        "(experimental)",
+        layout="ROOT/sequence_1/rgb/, depth/, mask/, rgb_scene_gt.json, train_test_split.npz, "
+        "ROOT/class_obj_taxonomy.json, ROOT/obj_models_small_size/",
+        page="https://arxiv.org/abs/2205.08811",
+        card=(
+            "experimental: layout by third parties; not checked on the files",
+            "truth: rendered from the meshes at the labels; objects only; occluders that are "
+            "no objects are not known",
+            "scored by the authors: not known; here on the objects' masks",
+            "train and test frames are of the same sequences",
+            "materials: glass as transparent, cutlery as specular; not filed by the authors",
+            "not verified: that test_idxs are numbers of frames, and that meshes are in metres",
+            "licence: not found",
+        ),
+    )
+
+
+PHOCAL = {s.name: s for s in (_phocal("train"), _phocal("test"))}
 HOUSECAT = {s.name: s for s in (_housecat("train", 34), _housecat("val", 2), _housecat("test", 5))}
+
+
+def _nocs(data: NocsSet, part: str, about: str, published: tuple[Published, ...]) -> Split:
+    name = f"{'real275' if data == 'Real' else 'camera25'}-{part}"
+    scene = "scene_1" if data == "Real" else "00000"
+    models = f"real_{part}/NAME.obj" if data == "Real" else f"{part}/SYNSET/MODEL/model.obj"
+    pickled = {"test": "gts/real_test/", "val": "gts/val/"}.get(part)
+    labels = "fitted to coordinates and depth, as the authors do"
+    if pickled:
+        labels = f"those of {pickled}; where there is none, {labels}"
+    return _split(
+        lambda root: open_nocs(name, root, data, part),
+        name=name,
+        about=about,
+        layout=f"ROOT/{data}/{part}/{scene}/0000_color.png, _depth.png, _mask.png, _coord.png, "
+        f"_meta.txt, ROOT/obj_models/{models}",
+        page="https://github.com/hughw19/NOCS_CVPR2019",
+        published=published,
+        card=(
+            "for poses: no pair of raw and true depth is published",
+            "truth: rendered from the meshes at the labels, on masks; objects only; its error is "
+            "that of the labels",
+            f"labels: {labels}",
+            "scored by the authors: poses and boxes of six classes; laptops are read and, as the "
+            "benchmark has no such class, not scored",
+            "materials are not filed",
+            *(("third parties miss files of 3,792 frames of val",) if part == "val" else ()),
+            *(
+                ()
+                if data == "Real"
+                else ("not verified: whether depth beside the colour image has the background",)
+            ),
+            "licence: non-commercial (code MIT)",
+        ),
+    )
+
+
+NOCS = {
+    split.name: split
+    for split in (
+        _nocs("Real", "test", "real, six classes, new instances",
+              (Published("paper", 2750, 6),)),
+        _nocs("Real", "train", "real, six classes, training", (Published("paper", 4300, 7),)),
+        _nocs("CAMERA", "val", "synthetic objects on real tables, six classes, CAMERA25",
+              (Published("paper", 25_000),)),
+        _nocs("CAMERA", "train", "synthetic objects on real tables, six classes, training",
+              (Published("paper", 275_000),)),
+    )
+}  # fmt: skip
 
 ROBI = _split(
     lambda root: open_robi("robi-ensenso", root),
@@ -191,7 +301,9 @@ ROBI = _split(
     ),
 )
 
-EVERY = HAMMER | CLEARPOSE | TRANSCG | BOP | HOUSECAT | {ROBI.name: ROBI} | GLASS
+EVERY = (
+    HAMMER | CLEARPOSE | TRANSCG | BOP | PACE | HOUSECAT | PHOCAL | NOCS | {ROBI.name: ROBI} | GLASS
+)
 
 
 def __getattr__(name: str) -> Split:

@@ -70,8 +70,8 @@ def _syn_todd(part: ToddPart) -> Split:
     )
 
 
-_THREE: tuple[ToddPart, ...] = ("train", "val", "test")
-SYN_TODD = {s.name: s for s in map(_syn_todd, _THREE)}
+_PARTS_OF_THREE: tuple[ToddPart, ...] = ("train", "val", "test")
+SYN_TODD = {s.name: s for s in map(_syn_todd, _PARTS_OF_THREE)}
 _RENDERED = field_split(
     lambda root: open_rendered_todd("syn-todd-rendered", root),
     name="syn-todd-rendered",
@@ -104,7 +104,7 @@ def _todd(part: ToddPart) -> Split:
     )
 
 
-TODD = {s.name: s for s in map(_todd, _THREE)}
+TODD = {s.name: s for s in map(_todd, _PARTS_OF_THREE)}
 
 
 def _gn_trans(part: GnTransPart) -> Split:

@@ -41,6 +41,7 @@ from benchmark.data.field.source import (
 )
 from benchmark.data.frame import BACKGROUND, Instance, Material, resize_nearest
 from benchmark.data.infrared import InfraredCalibration, InfraredPair, read_pair
+from benchmark.data.labelled import MeshFile
 from benchmark.data.loading import FrameIndex, SceneFolder, check_same_size
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
@@ -134,13 +135,13 @@ class GnTrans(FieldFrames):
         path = self._meta(scene, stem)
         return listed_poses(read_mat(path, _LARGEST_META), path, stem)
 
-    def meshes(self, index: int) -> dict[int, Path]:
+    def meshes(self, index: int) -> dict[int, MeshFile]:
         """See `FieldFrames`."""
         found = {}
         for i in self.poses(index):
             folder = self.graspnet / "models" / f"{i - 1:03d}"
             places = [folder / name for name in _MESHES]
-            found[i] = next((p for p in places if p.is_file()), places[0])
+            found[i] = MeshFile(next((p for p in places if p.is_file()), places[0]))
         return found
 
     def camera_pose(self, index: int) -> SE3 | None:

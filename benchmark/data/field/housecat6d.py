@@ -36,6 +36,7 @@ from benchmark.data.field.source import (
     render_objects,
 )
 from benchmark.data.frame import Instance, Material
+from benchmark.data.labelled import MeshFile
 from benchmark.data.loading import FrameIndex, SceneFolder
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -95,7 +96,7 @@ class HouseCat6D(FieldFrames):
                 "the labels have an instance that meta.txt has not", path=files[_LABEL],
                 field="instance_ids", value=unknown[0],
             )  # fmt: skip
-        placed = {i: (self._mesh(objects[i]), "m", T) for i, T in poses.items()}
+        placed = {i: (MeshFile(self._mesh(objects[i])), T) for i, T in poses.items()}
         true, rendered = render_objects(camera, placed)
         mask = known_ids(ids, list(poses))
         true[rendered != mask] = 0
@@ -113,10 +114,10 @@ class HouseCat6D(FieldFrames):
         scene, stem = self.index.at(index)
         return _labels(self.paths(scene, stem)[_LABEL])
 
-    def meshes(self, index: int) -> dict[int, Path]:
+    def meshes(self, index: int) -> dict[int, MeshFile]:
         """See `FieldFrames`."""
         scene, _ = self.index.at(index)
-        return {i: self._mesh(named) for i, named in self._objects(scene).items()}
+        return {i: MeshFile(self._mesh(named)) for i, named in self._objects(scene).items()}
 
     def _mesh(self, named: _Named) -> Path:
         return self.root / MODELS / named.category / f"{named.model}.obj"

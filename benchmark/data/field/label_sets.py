@@ -38,7 +38,8 @@ def open_labels(
         return CoordinateLabels(source)
     if isinstance(source, BopFrames):
         name = material or MATERIALS[source.material]
-        return BopLabels(source.index, models or source.root / "models", name, source.sensor)
+        folder = models or source.root / "models"
+        return BopLabels(source.index, folder, name, source.sensor, source.depth_unit)
     if isinstance(source, FieldFrames) and type(source).poses is not FieldFrames.poses:
         return FieldLabels(source, models, material)
     raise ToolkitError("this split has no labels that can be audited", field="split", value=split)

@@ -5,7 +5,7 @@ A reader lists its scenes and names the files of a frame; the frame is made from
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance
+from benchmark.data.labelled import MeshFile
 from benchmark.data.loading import NO_COLOR, NO_DEPTH, FrameIndex, SceneFolder, about
 from benchmark.data.splits import DepthSource, FrameKey, SceneFiles, Split, where_to_get
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.se3 import nearest_rotation
+from std_toolkit.importers.depth_files import read_foreign_depth
 from std_toolkit.importers.depth_survey import DepthSurveySettings
-from std_toolkit.io.images import read_color, read_depth, read_png
+from std_toolkit.io.images import image_size, read_color, read_depth, read_png
 
 # Files of a frame by content; those whose content is listed in `optional` may be missing.
 Files = dict[str, Path]
@@ -90,11 +92,20 @@ class FieldFrames:
         """Read the sensor's depth, metres."""
         return read_field_depth(path, self.unit)
 
+    def coordinates(
+        self,
+        scene: SceneFolder,  # noqa: ARG002
+        stem: str,  # noqa: ARG002
+        mask: NDArray[np.uint8],  # noqa: ARG002
+    ) -> NDArray[np.float32] | None:
+        """Read the normalised coordinates of the objects, where the set has them."""
+        return None
+
     def color(self, path: Path) -> NDArray[np.uint8]:
         """Read the colour image, (H, W, 3) RGB."""
         return read_color(path)
 
-    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:  # noqa: ARG002 - none has them
+    def load(self, index: int, *, sensor: bool = True, nocs: bool = False) -> DepthFrame:
         """See `DepthSource`."""
         scene, stem = self.index.at(index)
         files = self.paths(scene, stem)
@@ -125,6 +136,7 @@ class FieldFrames:
                 mask=found.mask,
                 camera=found.camera,
                 instances=found.instances,
+                nocs=self.coordinates(scene, stem, found.mask) if nocs else None,
             )
         except ToolkitError as error:
             raise about(error, key, files.get(MASK, Path(scene.path))) from error
@@ -153,8 +165,8 @@ class FieldFrames:
         """Return the poses of objects, `T_cam_obj` in metres and OpenCV's axes, by mask id."""
         return {}
 
-    def meshes(self, index: int) -> dict[int, Path]:  # noqa: ARG002
-        """Return the meshes of objects in metres by mask id, where the set has them."""
+    def meshes(self, index: int) -> dict[int, MeshFile]:  # noqa: ARG002
+        """Return the meshes of objects by mask id, where the set has them."""
         return {}
 
     def camera_pose(self, index: int) -> SE3 | None:  # noqa: ARG002
@@ -195,17 +207,22 @@ def _check_shape(path: Path, image: NDArray[Any], camera: Camera) -> None:
         )
 
 
-def read_field_depth(path: Path, unit: float) -> NDArray[np.float32]:
+def read_field_depth(path: Path, unit: float, *, two_bytes: bool = False) -> NDArray[np.float32]:
     """Read 16-bit depth in metres.
 
     Args:
         path: of a PNG file of one channel.
         unit: metres per number.
+        two_bytes: see `read_foreign_depth`.
 
     Raises:
         ToolkitError: unreadable, or its median says another unit.
     """
-    depth = read_depth(path, scale=unit)
+    if two_bytes:
+        stored = read_foreign_depth(path, size=image_size(path), two_bytes=True).values
+        depth = stored.astype(np.float32) * np.float32(unit)
+    else:
+        depth = read_depth(path, scale=unit)
     sample = depth[::8, ::8]
     measured = sample[sample > 0]
     if measured.size and np.median(measured) > DepthSurveySettings.current().farthest_m:
@@ -298,13 +315,13 @@ def unit_of_place(t: ArrayLike, path: Path) -> float:
 
 
 def render_objects(
-    camera: Camera, placed: Mapping[int, tuple[Path, str, SE3]]
+    camera: Camera, placed: Mapping[int, tuple[MeshFile, SE3]]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Render meshes at their poses, for sets without true depth.
 
     Args:
         camera: of the frame.
-        placed: mesh, its unit and `T_cam_obj` by mask id.
+        placed: mesh and `T_cam_obj` by mask id.
 
     Returns:
         (H, W) metres, 0 off the objects; (H, W) mask ids, `BACKGROUND` off the objects. Occluders
@@ -318,8 +335,8 @@ def render_objects(
 
     ids = list(placed)
     drawn = [
-        PlacedMesh(i + 1, _mesh(path, unit), pose)
-        for i, (path, unit, pose) in enumerate(placed.values())
+        PlacedMesh(i + 1, _mesh(file) if file.diagonal_m is None else _scaled(file), pose)
+        for i, (file, pose) in enumerate(placed.values())
     ]
     found = compose(_renderer(), camera, drawn)
     table = np.array([*ids, BACKGROUND], np.uint8)
@@ -327,11 +344,19 @@ def render_objects(
 
 
 @lru_cache(maxsize=256)
-def _mesh(path: Path, unit: str) -> Any:
+def _mesh(file: MeshFile) -> Any:
     from std_toolkit.geometry.mesh import load_mesh
     from std_toolkit.rendering.mesh import prepare_mesh
 
-    return prepare_mesh(load_mesh(path, unit=unit, corners=False))
+    return prepare_mesh(load_mesh(file.path, unit=file.unit, corners=False))
+
+
+def _scaled(file: MeshFile) -> Any:
+    """A mesh whose size differs from frame to frame: only its file is kept."""
+    from std_toolkit.rendering.mesh import prepare_mesh
+
+    mesh = replace(file, diagonal_m=1.0).load().copy()
+    return prepare_mesh(mesh.apply_scale(file.diagonal_m))
 
 
 @lru_cache(maxsize=1)

@@ -39,6 +39,7 @@ from benchmark.data.field.source import (
     unit_of_place,
 )
 from benchmark.data.frame import BACKGROUND, Instance, Material
+from benchmark.data.labelled import MeshFile
 from benchmark.data.loading import FrameIndex, SceneFolder, check_same_size
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -131,12 +132,13 @@ class TRansPose(FieldFrames):
             found[i] = pose_of(np.reshape(o.rot, (3, 3)), t, path)
         return found
 
-    def meshes(self, index: int) -> dict[int, Path]:
+    def meshes(self, index: int) -> dict[int, MeshFile]:
         """See `FieldFrames`."""
         scene, stem = self.index.at(index)
         path = Path(scene.path) / _CAMERA[self.side] / _FOLDERS[_LABELS].format(stem)
         return {
-            i: self.models / o.obj_name / f"{o.obj_name}.obj" for i, o in _objects(path).items()
+            i: MeshFile(self.models / o.obj_name / f"{o.obj_name}.obj")
+            for i, o in _objects(path).items()
         }
 
     def camera_pose(self, index: int) -> SE3 | None:

@@ -74,13 +74,17 @@ def depth_shift_words(shift_px: Sequence[float]) -> str:
 
 
 def _alignment(measured: Measured) -> Reading | None:
+    from scipy.special import ndtr, stdtrit
+
     limits = DepthSettings.current()
     summary = measured.summary
     if summary.depth_shift_px is None or summary.depth_shifts < limits.fewest_outlines:
         return None
+    # The deviation of a few outlines is itself uncertain: Student's t instead of the normal.
+    wider = float(stdtrit(summary.depth_shifts - 1, ndtr(_SIGMAS))) / _SIGMAS
     return Reading(
         hypot(*summary.depth_shift_px),
-        summary.depth_shift_std_px,
+        wider * (summary.depth_shift_std_px or 0.0),
         f"depth lies {depth_shift_words(summary.depth_shift_px)} of colour, "
         f"± {summary.depth_shift_std_px:.1f} px, {summary.depth_shifts} outlines",
     )

@@ -5,17 +5,14 @@ freedom with a covariance. Where they agree, the label is judged by all together
 explanations are compared by their likelihood:
 
 - "": all see the same pose, and differ by their errors only;
-- "shape": the object has another shape than the mesh, which moves its contour; its texture tells
-  where it is;
-- "texture": the object has its texture elsewhere than the mesh, as packaging of another print run;
-  its contour tells where it is;
+- "shape": the mesh has another shape than the object, whose texture tells where it is;
+- "texture": the object has its texture elsewhere, as another print run; its contour tells the pose;
 - "leans": the object does not stand on the plane of the others, so that its support says nothing;
-- "misled": reflections or refraction look like an outline that lies elsewhere in all frames. A
-  label that is likely right in spite of this is unknown rather than doubtful.
+- "misled": reflections or refraction look like an outline elsewhere in all frames. A label that is
+  likely right in spite of this is unknown rather than doubtful.
 
-A label is right, or off in place, in turn, or in both: a prior distribution of its motion. With it
-the motion is known as a mixture of normal distributions, from which the probability follows that
-the label lies within the limits.
+A label is right, or off in place, in turn, or in both: with this prior distribution its motion is a
+mixture of normal distributions, from which the probability follows that it is within the limits.
 
 Motions are vectors (6,): translation of the object's centre in mm, and rotation vector about it in
 degrees, along the axes of the world.

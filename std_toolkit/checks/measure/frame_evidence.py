@@ -19,6 +19,7 @@ from std_toolkit.checks.measure.frame_motion import Displaced, ObjectFrames
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.checks.measure.residuals import FrameObservation
 from std_toolkit.checks.measure.scene_points import CameraEvidence, ScenePoints
+from std_toolkit.checks.measure.shared_errors import seen_errors
 from std_toolkit.checks.measure.wide_search import SearchedView
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -85,14 +86,17 @@ class _Suspects:
             if T_world_obj is None or mesh_problem(scene, item.model) is not None:
                 continue
             symmetry = scene.objects.model(item.model).symmetry.symmetry()
+            shown = [
+                (f.frame, o)
+                for f in observed
+                if (o := f.objects.get(item.id)) and o.visible_fraction >= seen
+            ]
+            centre = object_centre(scene, item.id)
             found = ObjectFrames(
-                [
-                    (f.frame, o)
-                    for f in observed
-                    if (o := f.objects.get(item.id)) and o.visible_fraction >= seen
-                ],
-                symmetry_motions(symmetry, T_world_obj, object_centre(scene, item.id)),
+                shown,
+                symmetry_motions(symmetry, T_world_obj, centre),
                 smallest_mm=options.max_motion_mm,
+                cameras=seen_errors(scene, [f for f, _ in shown], centre),
             )
             if found.tells:
                 self.objects[item.id] = found

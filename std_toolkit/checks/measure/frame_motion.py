@@ -1,11 +1,10 @@
 """Frames in which an object lies elsewhere than in the other frames of the recording.
 
 The motion of an object in some frames is measured against the motion and size that all frames have
-in common, so that an error of the label or of the mesh, which is the same in every frame, is no
-motion. The evidence is the log likelihood of the edges at the motion minus that at the common one,
-summed over neighbouring frames. A run of frames is accepted if this gain exceeds what the best of
-all runs reaches by chance, the object is seen at its new place about as well as in other frames,
-and the displacement is larger than the limit for labels.
+in common: an error of label or mesh, the same in every frame, is no motion. The evidence is the log
+likelihood of the edges at the motion minus that at the common one, summed over neighbouring frames.
+A run of frames is accepted if this gain exceeds what the best of all runs reaches by chance, the
+object is seen there about as well as in other frames, and the displacement exceeds the limit.
 """
 
 from __future__ import annotations
@@ -20,17 +19,14 @@ from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.motion import FiledEquations, MotionEquations
 from std_toolkit.checks.measure.motion_solver import solve_motion
 from std_toolkit.checks.measure.residuals import ObjectObservation
+from std_toolkit.checks.measure.shared_errors import chance_likelihood, likelihood_beside
 from std_toolkit.checks.measure.wide_search import SearchedView
 from std_toolkit.settings import Settings, limit
 
 Equations = MotionEquations | FiledEquations
 
-# Contours that lie beside the object by chance, and the number of frames they are read in.
-_CHANCE_PX = (-9.0, -6.5, 6.5, 9.0)
-_CHANCE_FRAMES = 25
 # Frames of a run that are searched, and hypotheses of each that are tried in the others.
-_SEARCHED = 4
-_HYPOTHESES = 5
+_SEARCHED, _HYPOTHESES = 4, 5
 # The common motion and the frames without it are found in turn.
 _ROUNDS = 3
 
@@ -112,6 +108,7 @@ class _Frame:
     equations: Equations
     pixel_m: float
     samples: float
+    camera: Array
 
 
 class ObjectFrames:
@@ -121,6 +118,7 @@ class ObjectFrames:
         observed: frame ids in order, with the object in each.
         free: (N, 6) motions that do not change its appearance, from `symmetry_motions`.
         smallest_mm: smallest displacement across the view that is a fault.
+        cameras: (6, 6) by entry of `observed`, from `seen_errors`; none: they have no error.
 
     Attributes:
         tells: whether its label fits in so many frames that the others say something.
@@ -130,12 +128,18 @@ class ObjectFrames:
     """
 
     def __init__(
-        self, observed: Sequence[tuple[int, ObjectObservation]], free: Array, *, smallest_mm: float
+        self,
+        observed: Sequence[tuple[int, ObjectObservation]],
+        free: Array,
+        *,
+        smallest_mm: float,
+        cameras: Sequence[Array] = (),
     ) -> None:
         limits = FrameMotionSettings.current()
+        cameras = cameras or [np.zeros((6, 6))] * len(observed)
         self.frames = [
-            _Frame(f, o.motion, o.metres_per_px or 0.0, o.motion.length_px / limits.sample_px)
-            for f, o in observed
+            _Frame(f, o.motion, o.metres_per_px or 0.0, o.motion.length_px / limits.sample_px, C)
+            for (f, o), C in zip(observed, cameras, strict=True)
             if o.motion is not None
         ]
         self.free, self.smallest_mm = free, smallest_mm
@@ -166,8 +170,8 @@ class ObjectFrames:
         common = solve_motion([f.equations for f in shared], self.free, with_size=True)
         assert common is not None and common.size is not None
         self.zero = np.append(common.vector, common.size)
-        self.per_sample = np.array([f.equations.load().likelihood(self.zero) for f in self.frames])
-        self.chance = _chance(shared, self.zero)
+        self.per_sample = np.array([_expected(f, self.zero, self.free) for f in self.frames])
+        self.chance = chance_likelihood([f.equations for f in shared], self.zero)
         known = np.sort(self.per_sample[left])
         self.usual = float(np.median(known[len(known) // 2 :])) - self.chance
         self.part = (self.per_sample - self.chance) / max(self.usual, 1e-9)
@@ -242,8 +246,7 @@ class ObjectFrames:
     def _climb(self, equations: Sequence[Equations], start: Array) -> tuple[Array, Array]:
         """Motion (7,) and covariance (6, 6) from a start (7,), whose size it keeps."""
         moved = []
-        for entry in equations:
-            e = entry.load()
+        for e in (entry.load() for entry in equations):
             offsets = (e.offsets - (e.jacobian @ start)[:, None]).astype(np.float32)
             moved.append(replace(e, offsets=offsets))
         solved = solve_motion(moved, self.free)
@@ -269,7 +272,6 @@ class ObjectFrames:
         self, k: int, motion: Array, left: NDArray[np.bool_]
     ) -> tuple[int, int, Displaced] | None:
         first, last, gain = self._extent(k, motion, left)
-        covariance = np.eye(6)
         for _ in range(2):
             better, covariance = self._climb(
                 [f.equations for f in self.frames[first : last + 1]], motion
@@ -363,7 +365,7 @@ class ObjectFrames:
                     best = gain, motion
         if best is None:
             return None
-        motion, covariance = best[1], np.eye(6)
+        motion = best[1]
         measured = {j: e for j, v in views.items() if (e := v.equations(motion[:6])) is not None}
         if not measured:
             return None
@@ -379,23 +381,20 @@ class ObjectFrames:
         """The most likely motions (7,) of the object in a frame."""
         found = []
         for place in view.places():
-            e = view.equations(place)
-            if e is None:
+            if (e := view.equations(place)) is None:
                 continue
             motion, _ = self._climb([e], np.append(place, self.zero[6]))
             again = view.equations(motion[:6])
             if again is not None:
                 found.append((self._gain(k, motion, again), motion))
-        found.sort(key=lambda pair: -pair[0])
-        return [m for _, m in found[:_HYPOTHESES]]
+        return [m for _, m in sorted(found, key=lambda pair: -pair[0])[:_HYPOTHESES]]
 
 
-def _chance(frames: Sequence[_Frame], motion: Array) -> float:
-    """Likelihood of the points of displaced contours: median over some frames."""
-    chosen = np.unique(np.linspace(0, len(frames) - 1, _CHANCE_FRAMES).round().astype(int))
-    found = [
-        replace(e, offsets=e.offsets - np.float32(shift)).likelihood(motion)
-        for e in (frames[k].equations.load() for k in chosen)
-        for shift in _CHANCE_PX
-    ]
-    return float(np.median(found))
+def _expected(frame: _Frame, zero: Array, free: Array) -> float:
+    """Likelihood at the common motion and the most likely error of the frame's camera."""
+    e = frame.equations.load()
+    alone = solve_motion([e], free) if frame.camera.any() else None
+    if alone is None:
+        return e.likelihood(zero)
+    off = alone.vector - zero[:6]
+    return likelihood_beside(e, zero, off, alone.covariance, frame.camera, frame.samples)

@@ -8,7 +8,7 @@ scale measures it. The scale of each object alone shows whether the objects agre
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,11 @@ def object_sizes(scene: Scene) -> list[ObjectSize]:
         views = load_views(scene, frames, use_depth=False)
         objects = [scene_object(scene, i, placed[i]) for i in sorted(placed)]
         state = PoseState([o.T_world_obj for o in objects])
-        levels = coarse_to_fine(views, _OPTIONS)[-2:]
+        # The scale settles long before the poses do, of which nothing is kept.
+        levels = [
+            replace(level, iterations=_OPTIONS.iterations)
+            for level in coarse_to_fine(views, _OPTIONS)[-2:]
+        ]
         descent = descend(views, objects, state, levels, _OPTIONS)
     except (ToolkitError, OSError) as error:
         logger.info("the sizes of the objects tell no scale: %s", error)

@@ -7,20 +7,23 @@ for together with the motion. The error of a camera pose moves all edges of its 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array
-from std_toolkit.checks.measure.motion import Beside
+from std_toolkit.checks.measure.motion import Beside, FiledEquations, MotionEquations
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene
 from std_toolkit.settings import Settings, limit
 
 # Sine of the angle below the horizon from which an edge faces down, in part and entirely.
 _DOWN = (0.2, 0.7)
+# Contours that lie beside the object by chance, and the number of frames they are read in.
+_CHANCE_PX = (-9.0, -6.5, 6.5, 9.0)
+_CHANCE_FRAMES = 25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,3 +179,41 @@ def seen_errors(scene: Scene, frames: Iterable[int], centre: Array) -> list[Arra
         else:
             found.append(seen_error(np.reshape(covariance, (6, 6)), T_world_cam, centre))
     return found
+
+
+def likelihood_beside(
+    equations: MotionEquations,
+    motion: Array,
+    off: Array,
+    covariance: Array,
+    camera: Array,
+    samples: float,
+) -> float:
+    """Likelihood of a sample at a motion and the most likely error of the camera.
+
+    Args:
+        equations: of one frame.
+        motion: (7,).
+        off: (6,) from it to the motion that the frame alone shows.
+        covariance: (6, 6) of that.
+        camera: (6, 6) covariance, from `seen_error`.
+        samples: independent samples of the frame; an unlikely error costs their likelihood.
+    """
+    pull = np.linalg.solve(camera + covariance, off)
+    error = camera @ pull
+    cost = 0.5 * float(pull @ error) / max(samples, 1e-9)
+    beside = equations.likelihood(motion + np.append(error, 0.0)) - cost
+    return max(equations.likelihood(motion), beside)
+
+
+def chance_likelihood(
+    equations: Sequence[MotionEquations | FiledEquations], motion: Array
+) -> float:
+    """Likelihood of a sample of displaced contours: median over some frames."""
+    chosen = np.unique(np.linspace(0, len(equations) - 1, _CHANCE_FRAMES).round().astype(int))
+    found = [
+        replace(e, offsets=e.offsets - np.float32(shift)).likelihood(motion)
+        for e in (equations[k].load() for k in chosen)
+        for shift in _CHANCE_PX
+    ]
+    return float(np.median(found))

@@ -82,6 +82,11 @@ class RestingFaces:
         return bool(np.ptp(heights) < RestingSettings.current().ball * self._size)
 
 
+# Directions in a plane, as columns.
+_TURN = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+_AROUND = np.stack([np.cos(_TURN), np.sin(_TURN)])
+
+
 def resting_faces(hull: Array, facets: NDArray[np.int64], centre_of_mass: Array) -> RestingFaces:
     """Compute the resting directions of an object; at least one for any mesh.
 
@@ -123,11 +128,15 @@ def _stable(hull: Array, facets: NDArray[np.int64], contact_m: float) -> tuple[A
     height = np.einsum("ij,ij->i", normals, a[good])
     # The origin is inside the hull, so an outward normal points to the side of its facet.
     normals[height < 0] *= -1
+    # Axes of the plane of each facet.
+    side = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    planes = np.stack([side, np.cross(normals, side)], axis=-1)
     down, steady = [], []
-    for normal in normals:
+    for normal, plane in zip(normals, planes, strict=True):
         along = hull @ normal
         contacts = hull[along > along.max() - contact_m]
-        tip = _tipping(contacts, normal, float(along.max()))
+        tip = _tipping(contacts @ plane, float(along.max()))
         if tip > 0:
             down.append(_facet_normal(contacts, normal))
             steady.append(tip)
@@ -138,18 +147,20 @@ def _stable(hull: Array, facets: NDArray[np.int64], contact_m: float) -> tuple[A
     return np.array(down), np.array(steady)
 
 
-def _tipping(contacts: Array, normal: Array, height: float) -> float:
-    """Angle at the centre of mass to the nearest edge of the contact polygon; 0 outside."""
-    side = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
-    side /= np.linalg.norm(side)
-    plane = np.stack([contacts @ side, contacts @ np.cross(normal, side)], axis=1)
+def _tipping(plane: Array, height: float) -> float:
+    """Angle at the centre of mass to the nearest edge of the contact polygon; 0 outside.
+
+    Args:
+        plane: (N, 2) contacts in their plane, about the foot of the centre of mass.
+        height: of the centre of mass above the plane.
+    """
+    if len(plane) < 3:
+        return 0.0
     angle = np.sort(np.arctan2(plane[:, 1], plane[:, 0]))
-    gaps = np.diff(np.append(angle, angle[0] + 2 * np.pi))
-    if len(plane) < 3 or gaps.max() >= np.pi:
+    if max(float((angle[1:] - angle[:-1]).max()), angle[0] + 2 * np.pi - angle[-1]) >= np.pi:
         return 0.0
     # The distance of the nearest edge is the smallest extent of the polygon over all directions.
-    turn = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    reach = (plane @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=0).min()
+    reach = (plane @ _AROUND).max(axis=0).min()
     return float(np.arctan2(reach, max(height, 1e-9)))
 
 

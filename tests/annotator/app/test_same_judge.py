@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -113,6 +113,19 @@ def test_the_same_label_gets_the_same_word(
         judged = window[verdict.name]
         assert judged.reason == verdict.reason
         assert judged.probability == pytest.approx(verdict.probability, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_script_judges_by_the_limits_of_the_last_check(
+    synthetic_table: Path, tmp_path: Path
+) -> None:
+    scene = write_table(synthetic_table, tmp_path / "scene")
+    displace(scene, {"mug": Off(-8)})
+    with Session.open(scene.root, annotator="mk") as session:
+        assert pose_checks.ScriptDoubt()(session, "mug")
+    run_check(scene, replace(QUICK, max_motion_mm=16.0))
+    with Session.open(scene.root, annotator="mk") as session:
+        assert pose_checks.ScriptDoubt()(session, "mug") == ""
 
 
 @pytest.fixture

@@ -240,6 +240,27 @@ def write_bop_sensors(root: Path, sensor: str, *, gray: bool = False, first: int
     return drawn
 
 
+def write_pace(root: Path, part: str, unit: float, channels: int) -> Drawn:
+    """A scene of a part: no sensor's name; `depth_scale` 1, whatever the unit of depth is."""
+    drawn = draw(BOP_K, BOP_SIZE)
+    top, fx, fy, cx, cy = root / part / "000000", *BOP_K
+    gt = [
+        {"obj_id": number, "cam_R_m2c": box.R.ravel().tolist(),
+         "cam_t_m2c": (1000 * np.array(box.centre)).tolist()}
+        for number, box in zip((7, 545), BOXES, strict=True)
+    ]  # fmt: skip
+    camera = {"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "depth_scale": 1.0}
+    put_color(top / "rgb/000000.png", BOP_SIZE)
+    put_depth(top / "depth/000000.png", with_holes(drawn), unit)
+    for i, (row, box) in enumerate(zip(gt, BOXES, strict=True)):
+        mask = 255 * (drawn.index == i).astype("u1")
+        put(top / f"mask_visib/000000_{i:06d}.png", np.dstack([mask] * channels))
+        box.save(root / f"models/obj_{row['obj_id']:06d}.ply", unit=0.001)
+    (top / "scene_gt.json").write_text(json.dumps({"0": gt}))
+    (top / "scene_camera.json").write_text(json.dumps({"0": camera}))
+    return drawn
+
+
 HOUSECAT_SIZE, HOUSECAT_K = (274, 213), [188.0, 188.0, 136.5, 106.0]
 
 
@@ -287,3 +308,92 @@ def write_robi(root: Path, truth: str) -> Drawn:
         if view > 70:
             put_depth(top / truth / f"DEPTH_view_{view}.png", drawn.depth, unit)
     return drawn
+
+
+NOCS_SIZE = (640, 480)
+NOCS_K = {"Real": [591.0125, 590.16775, 322.525, 244.11084], "CAMERA": [577.5, 577.5, 319.5, 239.5]}
+# Ids of the two objects; their names, or synset and model.
+NOCS_IDS, NOCS_BACK = (2, 5), 1
+NOCS_NAMES = {"Real": ("mug_a_norm", "laptop_b_norm"), "CAMERA": ("0379/m1", "0364/l1")}
+
+
+def stepped(box: Box) -> tuple[Box, Box]:
+    """A box and a step on its y side, which has no plane of symmetry."""
+    sides = np.array(box.sides)
+    centre = np.array(box.centre) + box.R @ (sides * (0.1, 0.75, 0.2))
+    return box, Box(tuple(sides * (0.4, 0.5, 0.6)), box.turn, tuple(centre))
+
+
+@dataclass(frozen=True)
+class NocsDrawn:
+    """Depth in metres, index of the object or -1, normalised coordinates, and similarities."""
+
+    depth: NDArray[np.float64]
+    index: NDArray[np.int64]
+    coordinates: NDArray[np.float64]
+    RTs: NDArray[np.float64]
+    sides: NDArray[np.float64]
+
+
+def write_nocs(root: Path, data: str, part: str, *, pickled: bool, channels: int = 1) -> NocsDrawn:
+    """A frame with a mug and a laptop, an object of class 0, and a listed one that is not seen.
+
+    Real meshes are in metres; synthetic ones have another size, and z the other way round.
+    """
+    size, (fx, fy, cx, cy) = NOCS_SIZE, NOCS_K[data]
+    found = draw(NOCS_K[data], size, [part for box in BOXES for part in stepped(box)])
+    index = np.where(found.index < 0, -1, found.index // 2)
+    u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    points = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], -1) * found.depth[..., None]
+    coordinates, RTs, all_sides = np.zeros(points.shape), [], []
+    synthetic = data == "CAMERA"
+    models = root / "obj_models"
+    for i, box in enumerate(BOXES):
+        sides = np.array(box.sides) * (1, 1.5, 1)
+        middle = np.array(box.centre) + box.R @ (np.array(box.sides) * (0, 0.25, 0))
+        diagonal = np.linalg.norm(sides)
+        coordinates[index == i] = ((points - middle) @ box.R / diagonal + 0.5)[index == i]
+        RT = np.eye(4)
+        RT[:3, :3], RT[:3, 3] = diagonal * box.R, middle
+        RTs.append(RT)
+        all_sides.append(sides / diagonal)
+        meshes = []
+        for one in stepped(box):
+            mesh = trimesh.creation.box(one.sides)
+            mesh.apply_translation(box.R.T @ (np.array(one.centre) - middle))
+            meshes.append(mesh)
+        mesh = trimesh.util.concatenate(meshes)
+        if synthetic:
+            mesh.vertices = mesh.vertices * (1, 1, -1) / diagonal
+            mesh.invert()
+        name = NOCS_NAMES[data][i]
+        path = models / (f"{part}/{name}/model.obj" if synthetic else f"real_{part}/{name}.obj")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mesh.export(path)
+    scene = "00000" if synthetic else "scene_1"
+    top = root / data / part / scene
+    put_color(top / "0000_color.png", size)
+    raw = np.rint(1000 * found.depth).astype(np.uint16)
+    columns = np.flatnonzero((index == 0).any(axis=0))
+    raw[(index == 0) & (np.arange(size[0]) > columns.mean())] = 0
+    if channels == 3:  # OpenCV writes blue, green, red
+        raw[raw == 0] = 32001
+        raw = np.dstack([np.full_like(raw, 7), raw // 256, raw % 256]).astype(np.uint8)
+    put(top / "0000_depth.png", raw)
+    ids = np.array([255, *NOCS_IDS], np.uint8)[index + 1]
+    ids[:20, :20] = NOCS_BACK
+    put(top / "0000_mask.png", np.dstack([np.zeros_like(ids), np.zeros_like(ids), ids]))
+    filed = np.where(index[..., None] >= 0, coordinates * (1, 1, -1) + (0, 0, 1), 1)
+    put(top / "0000_coord.png", np.rint(255 * filed).astype(np.uint8)[..., ::-1])
+    named = [name.replace("/", " ") for name in NOCS_NAMES[data]]
+    unseen = "9 4 can_c_norm" if not synthetic else "9 4 0294 c1"
+    (top / "0000_meta.txt").write_text(
+        f"5 5 {named[1]}\n{unseen}\n{NOCS_BACK} 0 {named[0]}\n2 6 {named[0]}\n"
+    )
+    if pickled:
+        folder = "val" if synthetic else "real_test"
+        path = root / "gts" / folder / f"results_{folder}_{scene}_0000.pkl"
+        path.parent.mkdir(parents=True)
+        labels = {"gt_RTs": np.stack(RTs), "handle_visibility": np.array([0, 1])}
+        path.write_bytes(pickle.dumps(labels))
+    return NocsDrawn(found.depth, index, coordinates, np.stack(RTs), np.stack(all_sides))

@@ -12,6 +12,7 @@ import trimesh
 
 from benchmark.cli.bench import main
 from benchmark.data.check import check_split
+from benchmark.data.field.label_sets import open_labels
 from benchmark.data.field.source import FieldFrames
 from benchmark.data.field.transcg import cut_as_released
 from benchmark.data.frame import BACKGROUND, DepthFrame, Material
@@ -241,6 +242,35 @@ def test_bop_of_several_sensors(
     assert "no mask 1: 1 of the frames" in check_split(tmp_path, name).text()
 
 
+@pytest.mark.parametrize(
+    ("part", "unit", "channels"),
+    [
+        ("test", 0.001, 3), ("val_inst", 0.001, 1), ("val_pbr_cat", 0.0001, 3),
+        ("train_pbr_cat", 0.0001, 1), ("train_pbr_inst", 0.0001, 1),
+    ],
+)  # fmt: skip
+def test_pace(tmp_path: Path, part: str, unit: float, channels: int) -> None:
+    drawn = sets.write_pace(tmp_path / "pace", part, unit, channels)
+    name = f"pace-{part.replace('_', '-')}"
+    source = opened(name, tmp_path)
+    frame = source.load(0)
+    check_raw(frame, drawn, tolerance=0.6 * unit)
+    check_geometry(frame, source.poses(0), [[0], [1]])
+    assert np.abs(frame.depth_true - drawn.depth)[frame.depth_true > 0].max() < 1e-4
+    assert (frame.depth_true > 0).sum() > 0.98 * drawn.objects.sum()
+    assert [i.model for i in frame.instances] == ["obj_000007", "obj_000545"]
+    audited = open_labels(tmp_path, name).images(0).depth
+    assert audited is not None and np.array_equal(audited, frame.depth_raw)
+    report = check_split(tmp_path, name)
+    assert report.is_complete and "objects only" in report.text()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ToolkitError, match="nothing of this split is here") as error:
+        opened(name, tmp_path / "empty")
+    assert "https://github.com/qq456cvb/PACE" in str(error.value)
+    (tmp_path / f"pace/{part}/000000/depth/000000.png").unlink()
+    assert "no raw depth: 1 of the frames" in check_split(tmp_path, name).text()
+
+
 @pytest.mark.parametrize("protocol", [0, 2, 4, 5])
 def test_housecat6d(tmp_path: Path, protocol: int) -> None:
     drawn = sets.write_housecat(tmp_path, protocol=protocol)
@@ -252,7 +282,7 @@ def test_housecat6d(tmp_path: Path, protocol: int) -> None:
     named = {i.mask_id: (i.category, i.model, i.material) for i in frame.instances}
     assert named[1] == ("glass", "glass-new_3", Material.TRANSPARENT)
     assert named[2] == ("cutlery", "cutlery-fork_1", Material.SPECULAR)
-    assert all(path.is_file() for path in source.meshes(0).values())
+    assert all(mesh.path.is_file() for mesh in source.meshes(0).values())
 
 
 @pytest.mark.parametrize("truth", ["GT_Depth", "GT_Depth_Raw"])

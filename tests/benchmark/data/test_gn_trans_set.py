@@ -119,7 +119,7 @@ def test_gn_trans(tmp_path: Path, two_cameras: bool) -> None:
     assert there.mean() > 0.93 and np.quantile(apart[there & inner], 0.95) < 0.006
     found = {i.mask_id: (i.model, i.material) for i in frame.instances}
     assert found == {18: ("017", Material.RAW), 6: ("005", Material.RAW)}
-    assert all(path.is_file() for path in source.meshes(1).values())
+    assert all(mesh.path.is_file() for mesh in source.meshes(1).values())
     assert set(np.unique(frame.mask)) == {BACKGROUND, *CLASSES}
     text = check_split(tmp_path / "data", "gn-trans-test-seen").text()
     how = "is sampled from GraspNet's camera" if two_cameras else "lies as raw depth"

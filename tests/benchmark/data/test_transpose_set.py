@@ -102,7 +102,7 @@ def test_transpose(tmp_path: Path, side: str, camera: str, unit: float) -> None:
     assert (frame.mask == BACKGROUND).sum() == (~drawn.objects).sum()
     found = {i.mask_id: (i.model, i.material) for i in frame.instances}
     assert found == {p: (n, Material.TRANSPARENT) for p, n in zip(PLACES, NAMES, strict=True)}
-    assert all(path.is_file() for path in source.meshes(1).values())
+    assert all(mesh.path.is_file() for mesh in source.meshes(1).values())
 
 
 def test_both_cameras_of_transpose_see_the_objects_in_one_place(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from sensors.assets import open_source
-from sensors.lighting.environment_sources import environment_source
+from sensors.assets import Asset, open_source
+from sensors.lighting.environment_sources import EnvironmentMap, environment_source
 from sensors.render.sim_renderer import QUALITIES
 from sensors.simulation import world_builder
 from sensors.simulation.options import (
@@ -38,6 +38,29 @@ KNOWN = (*ALWAYS, *SOMETIMES, "other")
 
 def drawn(seed: int, options: SimulationOptions = OPTIONS) -> SceneDraw:
     return draw_scene(seed, options, open_source("procedural"), environment_source())[0]
+
+
+class OneOfEach:
+    """Assets and light for tests of what else is drawn: one shape of each category, one map."""
+
+    def __init__(self) -> None:
+        source, rng = open_source("procedural"), np.random.default_rng(0)
+        self.made = {name: source.sample(rng, name) for name in source.categories()}
+        self.map = environment_source().draw(rng)
+
+    def categories(self) -> tuple[str, ...]:
+        return tuple(self.made)
+
+    def sample(self, _: np.random.Generator, category: str) -> Asset:
+        return self.made[category]
+
+    def draw(self, _: np.random.Generator) -> EnvironmentMap:
+        return self.map
+
+
+@pytest.fixture(scope="module")
+def one_of_each() -> OneOfEach:
+    return OneOfEach()
 
 
 @pytest.mark.slow
@@ -184,9 +207,10 @@ def test_objects_of_a_given_material_have_it() -> None:
     assert "transparent" not in classes("opaque")
 
 
-def test_half_of_clear_scenes_is_glass_whatever_the_category() -> None:
+def test_half_of_clear_scenes_is_glass_whatever_the_category(one_of_each: OneOfEach) -> None:
     options = msgspec.structs.replace(OPTIONS, views=1, materials="clear")
-    made = [o for seed in range(40) for o in drawn(seed, options).objects]
+    scenes = [draw_scene(seed, options, one_of_each, one_of_each)[0] for seed in range(40)]
+    made = [o for scene in scenes for o in scene.objects]
     glass = [o for o in made if o.material.material_class == "transparent"]
     assert 0.4 < len(glass) / len(made) < 0.6
     assert {o.category for o in glass} == {o.category for o in made}
@@ -197,12 +221,13 @@ def test_half_of_clear_scenes_is_glass_whatever_the_category() -> None:
     ]
 
 
-def test_floors_of_clear_scenes_are_busy() -> None:
+def test_floors_of_clear_scenes_are_busy(one_of_each: OneOfEach) -> None:
     options = msgspec.structs.replace(OPTIONS, views=4)
 
     def kinds(materials: str) -> list[str]:
         of = msgspec.structs.replace(options, materials=materials)
-        floors = [f.material.texture for seed in range(20) for f in drawn(seed, of).floors]
+        scenes = [draw_scene(seed, of, one_of_each, one_of_each)[0] for seed in range(20)]
+        floors = [floor.material.texture for scene in scenes for floor in scene.floors]
         return ["" if texture is None else texture.kind for texture in floors]
 
     assert 0.45 < kinds("clear").count("collage") / 80 < 0.75
@@ -213,10 +238,11 @@ def test_floors_of_clear_scenes_are_busy() -> None:
     assert all(a == b for a, b in both if a != "collage")
 
 
-def test_objects_stand_in_half_of_mixed_scenes() -> None:
+def test_objects_stand_in_half_of_mixed_scenes(one_of_each: OneOfEach) -> None:
     def upright(poses: str) -> list[bool]:
         options = msgspec.structs.replace(OPTIONS, views=1, object_poses=poses)
-        return [drawn(seed, options).upright for seed in range(40)]
+        scenes = [draw_scene(seed, options, one_of_each, one_of_each)[0] for seed in range(40)]
+        return [scene.upright for scene in scenes]
 
     assert upright("any") == [False] * 40
     assert upright("upright") == [True] * 40

@@ -109,6 +109,18 @@ def scale(difference: float, *, deviation: float = 0.001) -> ScaleReport:
     return ScaleReport(unit="metre", chosen="cad", estimates=estimates, disagreement=0.0)
 
 
+@pytest.mark.parametrize(
+    ("std_px", "outlines", "status"),
+    [(2.0, 4, "pass"), (2.0, 40, "fail"), (0.5, 4, "fail"), (0.5, 3, "fail"), (2.0, 2, "open")],
+)
+def test_few_outlines_do_not_tell_how_uncertain_they_are(
+    std_px: float, outlines: int, status: str
+) -> None:
+    """A shift of 8 px, where 3 px are allowed."""
+    shift = {"depth_shift_px": [-2.0, 7.7], "depth_shift_std_px": std_px, "depth_shifts": outlines}
+    assert gates(summary=msgspec.structs.replace(SUMMARY, **shift))["alignment"].status == status
+
+
 def test_a_good_scene_fails_nothing() -> None:
     assert [g.key for g in gates().values() if g.status == "fail"] == []
     assert verdict(GOOD) == "fits"

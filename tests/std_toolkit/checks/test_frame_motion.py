@@ -43,12 +43,13 @@ def draw(rng: np.random.Generator, mm: Sequence[float], *, hidden: bool = False)
     )
 
 
-def look(frames: Sequence[MotionEquations]) -> ObjectFrames:
+def look(frames: Sequence[MotionEquations], *, camera_mm: float = 0.0) -> ObjectFrames:
     observed = [
         (10 * k, ObjectObservation(900, 900, 1.0, metres_per_px=Z_M / FX, motion=e))
         for k, e in enumerate(frames)
     ]
-    return ObjectFrames(observed, FREE, smallest_mm=4.0)
+    camera = np.diag([camera_mm / 1000] * 3 + [0.0] * 3) ** 2
+    return ObjectFrames(observed, FREE, smallest_mm=4.0, cameras=[camera] * len(frames))
 
 
 def recording(
@@ -97,6 +98,19 @@ def test_hidden_frames_are_unfit() -> None:
 def test_small_motions_are_no_fault() -> None:
     """Camera poses have errors of a millimetre or two."""
     assert not look(recording(5, 50, (12, 30), (2.0, 1.0, 0.0))).displaced
+
+
+def test_what_the_error_of_a_camera_explains_is_no_motion() -> None:
+    frames = recording(8, 50, (49,), (7.0, 4.0, 0.0))
+    assert [d.frames for d in look(frames).displaced] == [(490,)]
+    assert not look(frames, camera_mm=6.0).displaced
+
+
+@pytest.mark.parametrize("moved", [(47, 48, 49), (23,)])
+def test_motions_are_found_beside_errors_of_cameras(moved: tuple[int, ...]) -> None:
+    (run,) = look(recording(9, 50, moved, (11.0, 6.0, 0.0)), camera_mm=1.0).displaced
+    assert run.frames == tuple(10 * k for k in moved)
+    assert run.mm == pytest.approx(12.5, abs=1.0)
 
 
 def test_clutter_alone_tells_nothing() -> None:

@@ -20,6 +20,7 @@ from std_toolkit.geometry.mesh import (
     nocs_frame,
 )
 from std_toolkit.geometry.turned_surface import round_axis
+from std_toolkit.io.images import write_color
 
 BOX = trimesh.creation.box((0.1, 0.06, 0.03))
 
@@ -298,3 +299,77 @@ def test_piled_faces_are_refused_and_fans_are_read(tmp_path: Path) -> None:
             load_mesh(path)
     cone = trimesh.creation.cone(0.05, 0.1, sections=3000)
     assert len(load_mesh(saved(cone, tmp_path / "cone.ply")).faces) == len(cone.faces)
+
+
+BOX_OBJ = "mtllib a.mtl\nv 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+
+
+@pytest.mark.parametrize(
+    "name", ["C:\\Users\\me\\tex.png", "TEX.PNG", "maps/tex.png", "/no/such/tex.png"]
+)
+def test_a_texture_of_another_machine_is_found_by_its_name(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_color(tmp_path / "tex.png", np.full((8, 8, 3), (255, 0, 0), np.uint8))
+    (tmp_path / "a.mtl").write_text(f"newmtl m\nmap_Kd {name}\n")
+    (tmp_path / "a.obj").write_text(BOX_OBJ + "usemtl m\nf 1/1 2/2 3/3\n")
+    mesh = load_mesh(tmp_path / "a.obj")
+    assert mesh.visual.to_color().vertex_colors[0].tolist() == [255, 0, 0, 255]
+    assert "is missing; tex.png is used" in caplog.text
+
+
+def test_colours_that_are_not_shown_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "a.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 1 0 0\n")
+    (tmp_path / "a.obj").write_text(
+        BOX_OBJ + "v 0 0 0.1\nusemtl a\nf 1/1 2/2 3/3\nusemtl b\nf 1/1 2/2 4/3\n"
+    )
+    load_mesh(tmp_path / "a.obj")
+    assert "one colour, Kd 1 0 0" in caplog.text
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[255, 0, 0, 255])
+    box.visual = trimesh.visual.TextureVisuals(material=material)
+    box.export(tmp_path / "a.glb")
+    load_mesh(tmp_path / "a.glb")
+    assert "one colour, baseColorFactor 255 0 0" in caplog.text
+    (tmp_path / "a.off").write_text(
+        "COFF\n3 1 0\n0 0 0 255 0 0 255\n0.1 0 0 255 0 0 255\n0 0.1 0 255 0 0 255\n3 0 1 2\n"
+    )
+    load_mesh(tmp_path / "a.off")
+    assert "colours of OFF files are not read" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "faces",
+    [
+        "face 1\nproperty list uchar int vertex_indices",
+        "tristrips 1\nproperty list int int vertex_indices",
+    ],
+)
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [
+        ("uchar", "diffuse_", "255 0 0"),
+        ("uchar", "short", "255 0 0"),
+        ("float", "", "1.0 0 0"),
+        ("uchar", "", "255 0 0"),
+    ],
+)
+def test_colours_of_ply_files(tmp_path: Path, faces: str, kind: str, name: str, value: str) -> None:
+    colors = "".join(f"property {kind} {name}{c}\n" for c in ("red", "green", "blue"))
+    if name == "short":
+        colors = "".join(f"property {kind} {c}\n" for c in "rgb")
+    rows = "".join(f"{xyz} {value}\n" for xyz in ("0 0 0", "0.1 0 0", "0 0.1 0"))
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        f"property float z\n{colors}element {faces}\nend_header\n{rows}3 0 1 2\n"
+    )
+    mesh = load_mesh(tmp_path / "a.ply")
+    assert mesh.visual.vertex_colors[0].tolist() == [255, 0, 0, 255]
+
+
+def test_decimal_commas_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0,1 0 0\nv 0 0,1 0\nv 0 0 0,1\nf 1 2 3\n")
+    with pytest.raises(ToolkitError, match="decimal commas"):
+        load_mesh(tmp_path / "a.obj")

@@ -136,3 +136,16 @@ def test_folders_of_tum_have_its_unit_as_options_too(tmp_path: Path) -> None:
     )  # fmt: skip
     scene = import_recording(request, tmp_path / "scene")
     assert scene.info.depth_scale == 0.0002
+
+
+def test_the_intrinsics_of_bundlefusion_are_in_info_txt(tmp_path: Path) -> None:
+    root = write(tmp_path / "rec", "7scenes")
+    (root / "camera-intrinsics.txt").unlink()
+    matrix = "60 0 31.5 0 0 60 23.5 0 0 0 1 0 0 0 0 1"
+    (root / "info.txt").write_text(
+        f"m_colorWidth = {W}\nm_colorHeight = {H}\nm_depthShift = 1000.0\n"
+        f"m_calibrationColorIntrinsic = {matrix}\nm_calibrationDepthIntrinsic = {matrix}\n"
+    )
+    scene = import_recording(ImportRequest(source=root, name="s"), tmp_path / "scene")
+    camera = scene.camera(scene.frames[0])
+    assert (camera.fx, camera.cx, camera.cy) == (60, 31.5, 23.5)

@@ -170,6 +170,21 @@ READ: dict[str, tuple[str, str, tuple[float, ...]]] = {
                                  "opencv", FIVE),
     "camel, four of OpenCV": (json.dumps({**NUMBERS, "lensDistortion": FIVE[:4]}),
                               "opencv", FOUR),
+    "ost.txt of ROS's camera_calibration": (
+        "# oST version 5.0 parameters\n\n[image]\n\nwidth\n64\n\nheight\n48\n\n[narrow_stereo]\n\n"
+        "camera matrix\n60.0 0.0 31.5\n0.0 60.0 23.5\n0.0 0.0 1.0\n\ndistortion\n"
+        "-0.28 0.07 0.0002 1.7e-05 0.0\n\nrectification\n1.0 0.0 0.0\n0.0 1.0 0.0\n0.0 0.0 1.0\n\n"
+        "projection\n55.0 0.0 30.0 0.0\n0.0 56.0 22.0 0.0\n0.0 0.0 1.0 0.0\n", "opencv", FIVE),
+    "info.txt of BundleFusion": (
+        "m_sensorName = StructureSensor\nm_colorWidth = 64\nm_colorHeight = 48\n"
+        "m_depthWidth = 32\nm_depthHeight = 24\nm_depthShift = 1000.0\n"
+        "m_calibrationColorIntrinsic = 60 0 31.5 0 0 60 23.5 0 0 0 1 0 0 0 0 1\n"
+        "m_calibrationColorExtrinsic = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n"
+        "m_calibrationDepthIntrinsic = 30 0 15 0 0 30 11 0 0 0 1 0 0 0 0 1\n", "opencv", ()),
+    "matlab's cameraParameters": (json.dumps(
+        {"IntrinsicMatrix": [[60, 0, 0], [0, 60, 0], [32.5, 24.5, 1]],
+         "NumRadialDistortionCoefficients": 2, "EstimateTangentialDistortion": True,
+         "RadialDistortion": FIVE[:2], "TangentialDistortion": FIVE[2:4]}), "opencv", FOUR),
     "distances are no distortion": (json.dumps({"K": K, "distance": 0.7, "max_dist": 3}),
                                     "opencv", ()),
 }  # fmt: skip
@@ -201,6 +216,9 @@ REFUSED: dict[str, tuple[str, str]] = {
     "double sphere": (json.dumps({"intrinsics": [
         {"camera_type": "ds", "intrinsics": {**NUMBERS, "xi": -0.2}}]}), "camera_type.*ds"),
     "xi": (json.dumps({**NUMBERS, "xi": 0.3}), "xi"),
+    "orthophoto": (json.dumps({**NUMBERS, "camera_model": "ORTHOPHOTO"}), "camera_model"),
+    "meshroom": (json.dumps({"intrinsics": [{"type": "radial3", "focalLength": 33.75,
+        "principalPoint": [0, 0], "distortionParams": [-0.2, 0.1, 0.01]}]}), "type.*radial3"),
     "scaramuzza": (json.dumps({**NUMBERS, "camera_model": "scaramuzza"}), "camera_model"),
     "inverse": ("[ 64x48  p[31.5 23.5]  f[60 60]  Inverse Brown Conrady [0.1 0 0 0 0] ]", "model"),
     "thin prism": ("1 THIN_PRISM_FISHEYE 64 48 60 60 32 24 0 0 0 0 0 0 0 0\n", "THIN_PRISM"),
@@ -397,3 +415,20 @@ def test_the_order_of_android_is_printed(tmp_path: Path, caplog) -> None:
     with caplog.at_level("INFO", "std_toolkit"):
         assert read_intrinsics(str(path)).distortion == (0.1, 0.2, 0.4, 0.5, 0.3)
     assert "(from lensDistortion, in Android's order k1 k2 k3 p1 p2)" in caplog.text
+
+
+def test_both_angles_of_view(tmp_path: Path) -> None:
+    path = tmp_path / "transforms.json"
+    x, y = 2 * np.arctan(32 / 60), 2 * np.arctan(24 / 50)
+    path.write_text(json.dumps({"camera_angle_x": x, "camera_angle_y": y, "frames": []}))
+    found = read_intrinsics(str(path), size=(64, 48))
+    assert (found.fx, found.fy) == (pytest.approx(60), pytest.approx(50))
+    path.write_text(json.dumps({"camera_angle_x": x, "camera_angle_y": 4, "frames": []}))
+    with pytest.raises(ToolkitError, match="camera_angle_y: must be an angle"):
+        read_intrinsics(str(path), size=(64, 48))
+
+
+def test_the_depth_unit_of_a_scene_of_bop(tmp_path: Path) -> None:
+    path = tmp_path / "scene_camera.json"
+    path.write_text(json.dumps({str(i): {"cam_K": K, "depth_scale": 0.1} for i in range(2)}))
+    assert read_intrinsics(str(path), size=(64, 48)).depth_scale == pytest.approx(1e-4)
