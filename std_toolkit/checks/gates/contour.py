@@ -41,7 +41,7 @@ class ContourSettings(Settings):
         "beside which reflections lie in every second frame; 1.3 on glass",
     )
     """distances in pixels up to so many limits say nothing of objects of these materials whose
-    contour does not determine their pose"""
+    contour does not determine their pose; nor does a drift of steel"""
     low_visibility: float = limit(0.5, source=NOT_RECORDED)
     """a smaller visible fraction brings a warning"""
     large_step_deg: float = limit(30.0, unit="deg", source=NOT_RECORDED)
@@ -117,8 +117,12 @@ def _drift(item: ObjectCheck, measured: Measured) -> Reading | None:
     drift = item.entry("drift_px")
     if drift is None or item.material == "transparent":
         return None
-    reliable = drift.frames >= limits.fewest_drift_frames and has_edges(item, measured.options)
-    return Reading(drift.value) if reliable else None
+    if drift.frames < limits.fewest_drift_frames or not has_edges(item, measured.options):
+        return None
+    most = limits.reflected.get(item.material, 0.0) * measured.options.max_drift_px
+    if drift.value is not None and measured.options.max_drift_px < drift.value <= most:
+        return Reading(drift.value, excuse="its reflections move, too", verdict="unknown")
+    return Reading(drift.value)
 
 
 def _evidence(item: ObjectCheck, measured: Measured) -> Reading | None:

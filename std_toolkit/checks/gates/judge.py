@@ -124,7 +124,7 @@ def judge_scene(
             materials=materials,
             poses=scene.poses,
             unreadable=_unreadable_meshes(scene),
-            evidence=frame_evidence(scene, observed, options),
+            evidence=frame_evidence(scene, observed, options, up=planes.up),
         )
     )
     return msgspec.structs.replace(

@@ -25,6 +25,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import Settings, limit
 
 
@@ -40,6 +41,8 @@ class FrameEvidenceSettings(Settings):
     """runs of frames in which each object is looked for"""
     agreement: float = limit(0.3, source="one frame measures the distance weakly")
     """part of its displacement by which an object may miss what a camera explains"""
+    topples: float = limit(3.0, source="what is bumped slides; what falls over moves far")
+    """limits of the displacement below which glass and steel slide on their support"""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ class FrameEvidence:
 
 
 def frame_evidence(
-    scene: Scene, observed: Sequence[FrameObservation], options: CheckOptions
+    scene: Scene, observed: Sequence[FrameObservation], options: CheckOptions, *, up: Array
 ) -> FrameEvidence:
     """Find the frames that contradict the other frames of their objects.
 
@@ -69,15 +72,20 @@ def frame_evidence(
         scene: the scene that was measured.
         observed: the measured frames.
         options: limits.
+        up: (3,) normal of the plane on which objects stand, in the world.
     """
-    return _Suspects(scene, observed, options).evidence()
+    return _Suspects(scene, observed, options, up).evidence()
 
 
 class _Suspects:
     def __init__(
-        self, scene: Scene, observed: Sequence[FrameObservation], options: CheckOptions
+        self,
+        scene: Scene,
+        observed: Sequence[FrameObservation],
+        options: CheckOptions,
+        up: Array,
     ) -> None:
-        self.scene, self.options = scene, options
+        self.scene, self.options, self.up = scene, options, up
         self.observed = {f.frame: f for f in observed}
         self.objects: dict[int, ObjectFrames] = {}
         seen = AggregateSettings.current().judged_fraction
@@ -115,10 +123,16 @@ class _Suspects:
             self._ask_objects()
         return FrameEvidence(
             self.camera,
-            {i: o.displaced for i, o in self.objects.items() if o.displaced},
+            {i: runs for i, o in self.objects.items() if (runs := self._believed(i, o.displaced))},
             frozenset(self.right),
             {i: o.unfit for i, o in self.objects.items() if o.unfit},
         )
+
+    def _believed(self, object_id: int, runs: Sequence[Displaced]) -> list[Displaced]:
+        material = self.scene.objects.object(object_id).material
+        if material in DIFFUSE_MATERIALS:
+            return list(runs)
+        return sliding_runs(runs, self.up, self.options)
 
     def _off(self) -> dict[int, set[int]]:
         """Objects that are not at their labels, by frame id."""
@@ -215,6 +229,27 @@ class _Suspects:
             if missed > tolerance:
                 return False
         return True
+
+
+def sliding_runs(runs: Sequence[Displaced], up: Array, options: CheckOptions) -> list[Displaced]:
+    """The runs without small motions off the support, which edges inside of glass imitate.
+
+    What is bumped slides on its support and turns about its normal `up` (3,); what falls over moves
+    far. A run is kept that is significant without its lift and its tilts.
+    """
+    far = FrameEvidenceSettings.current().topples * options.max_motion_mm
+    return [r for r in runs if r.mm >= far or _loss_by_sliding(r, up) <= r.margin]
+
+
+def _loss_by_sliding(run: Displaced, up: Array) -> float:
+    """Log likelihood that a motion loses without its lift and its tilts."""
+    along = np.linalg.svd(up[None])[2][1:]
+    off = np.zeros((3, 6))
+    off[0, :3], off[1:, 3:] = up, along
+    least = np.diag([1e-8, 1e-6, 1e-6])  # 0.1 mm, 0.06 deg: what a symmetry leaves open
+    return 0.5 * float(
+        off @ run.motion @ np.linalg.solve(off @ run.covariance @ off.T + least, off @ run.motion)
+    )
 
 
 def _seen_motion(centre: Array, T_world_cam: SE3) -> Array:

@@ -1,10 +1,9 @@
 """Frames in which an object lies elsewhere than in the other frames of the recording.
 
-The motion of an object in some frames is measured against the motion and size that all frames have
-in common: an error of label or mesh, the same in every frame, is no motion. The evidence is the log
-likelihood of the edges at the motion minus that at the common one, summed over neighbouring frames.
-A run of frames is accepted if this gain exceeds what the best of all runs reaches by chance, the
-object is seen there about as well as in other frames, and the displacement exceeds the limit.
+A motion is measured against the motion and size that all frames have in common: an error of label
+or mesh, the same in every frame, is no motion. The evidence is the gain in log likelihood of the
+edges, summed over neighbouring frames. A run of frames is accepted if the gain exceeds what chance
+reaches, the object is seen there about as well as elsewhere, and the displacement the limit.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ class Displaced:
         motion: (6,) from the common motion, see `checks.measure.motion`.
         covariance: (6, 6) of it.
         mm: displacement across the view, millimetres.
-        gain: log likelihood gained.
+        gain, margin: log likelihood gained, and the part of it above what a run needs.
     """
 
     frames: tuple[int, ...]
@@ -100,6 +99,7 @@ class Displaced:
     covariance: Array
     mm: float
     gain: float
+    margin: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class ObjectFrames:
             (self.part >= limits.seen).mean() >= limits.fewest_fits
         )
         likely = self.part[self.part >= limits.unfit]
-        self.weakest = limits.weakest * float(np.percentile(likely, 10)) if len(likely) else 0.0
+        self.weakest = limits.weakest * float(np.percentile(likely, 10) if len(likely) else 0.0)
         return self.tells
 
     def _sort(self) -> None:
@@ -221,10 +221,9 @@ class ObjectFrames:
             gain = self._gain(k, motion)
             if gain >= limits.seed_gain and self._shift(k, motion)[1] >= limits.shift_px:
                 seeds.append((gain, k, motion))
-        seeds.sort(key=lambda s: -s[0])
         left = np.ones(len(self.frames), bool)
         found = []
-        for _, k, motion in seeds:
+        for _, k, motion in sorted(seeds, key=lambda s: -s[0]):
             if left[k] and (run := self._grow(k, motion, left)) is not None:
                 first, last, displaced = run
                 left[first : last + 1] = False
@@ -292,25 +291,25 @@ class ObjectFrames:
         """The run if it is significant, seen as usual and large enough."""
         limits = FrameMotionSettings.current()
         gain = sum(self._gain(j, motion, e) for j, e in zip(inside, equations, strict=True))
-        samples = np.array([self.frames[j].samples for j in inside])
-        found = np.array([e.load().likelihood(motion) for e in equations])
-        seen = (float(samples @ found / samples.sum()) - self.chance) / self.usual
+        samples = [self.frames[j].samples for j in inside]
+        found = np.average([e.load().likelihood(motion) for e in equations], weights=samples)
+        seen = (float(found) - self.chance) / self.usual
         shifts = np.array([self._shift(j, motion) for j in inside])
         mm, px = np.median(shifts, axis=0)
-        k = inside[len(inside) // 2]
-        J = self.frames[k].equations.load().jacobian[:, :6].astype(np.float64)
+        middle = self.frames[inside[len(inside) // 2]]
+        J = middle.equations.load().jacobian[:, :6].astype(np.float64)
         variance = np.einsum("pi,ij,pj->p", J, covariance, J).mean()
-        std_mm = 1000 * self.frames[k].pixel_m * float(np.sqrt(2 * variance))
+        std_mm = 1000 * middle.pixel_m * float(np.sqrt(2 * variance))
         lost = bool((self.part[inside] < min(limits.unfit, self.weakest)).all())
         needed = limits.unfit_gain if lost else limits.smallest_gain
-        needed += np.log(len(self.frames)) + limits.per_frame * len(inside)
-        needed += np.log1p((px / limits.place_px) ** 2)
+        needed += float(np.log(len(self.frames)) + np.log1p((px / limits.place_px) ** 2))
+        needed += limits.per_frame * len(inside)
         alone = len(inside) == 1
         if gain < needed or seen < (limits.seen if alone else min(limits.seen, self.weakest)):
             return None
-        ids, (first, last) = [f.frame for f in self.frames], (inside[0], inside[-1])
-        before = ids[first - 1] if first > 0 else None
-        after = ids[last + 1] if last + 1 < len(ids) else None
+        ids = [f.frame for f in self.frames]
+        before = ids[inside[0] - 1] if inside[0] > 0 else None
+        after = next(iter(ids[inside[-1] + 1 :]), None)
         returned = before is not None and after is not None
         least = limits.returned if returned else limits.single if alone else 1.0
         if mm < self.smallest_mm * least or px < limits.shift_px or mm < limits.deviations * std_mm:
@@ -323,6 +322,7 @@ class ObjectFrames:
             covariance,
             float(mm),
             gain,
+            gain - needed,
         )
 
     # Runs of frames in which the object is not near its label.
@@ -374,7 +374,7 @@ class ObjectFrames:
         if found is None:
             return None
         ids = [f.frame for f in self.frames]
-        after = ids[run[-1] + 1] if run[-1] + 1 < len(ids) else None
+        after = next(iter(ids[run[-1] + 1 :]), None)
         return replace(found, frames=tuple(ids[j] for j in run), after=after)
 
     def _places(self, k: int, view: SearchedView) -> list[Array]:

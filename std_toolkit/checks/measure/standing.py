@@ -8,7 +8,7 @@ say nothing.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,13 +47,16 @@ class StandingCheckSettings(Settings):
     uneven_m: float = limit(0.0005, unit="m", source="world seeds 400 to 519 of setting kinds")
     """deviation of the heights of contacts"""
     level_std_rad: float = limit(np.radians(0.3), unit="rad", source="the same scenes")
-    """deviation of the slope of the plane, and of the face on which an object stands"""
+    """deviation of the slope of the face on which an object stands"""
+    outlying: float = limit(2.0, unit="deviations", source="usual for robust fits")
+    """a foot that differs from the plane by as much has half of its weight"""
     mesh_part: float = limit(0.003, source="the same scenes: sizes of meshes differ by 1 to 3 %")
     """deviation of the height of a foot, in parts of the object's size"""
 
 
 # Planes that are tried for each object: those on which it stands best.
 _MOST_FACES = 3
+_ROUNDS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +92,61 @@ class _Plane:
 
     Attributes:
         normal: (3,) upwards.
-        height: along the normal, metres.
-        std: standard deviation of the height.
+        middle: (3,) point of the plane among the objects.
+        axes: (2, 3) directions along the plane.
+        covariance: (3, 3) of its slopes along the axes, and of its height at the middle.
         count: number of objects.
     """
 
     normal: Array
-    height: float
-    std: float
+    middle: Array
+    axes: Array
+    covariance: Array
     count: int
+
+    def heights(self, points: Array) -> tuple[Array, Array]:
+        """Heights of points (N, 3) above it, and (N, 3) what they change with its parameters."""
+        away = points - self.middle
+        return away @ self.normal, np.append(away @ self.axes.T, np.ones((len(away), 1)), axis=1)
+
+    @staticmethod
+    def under(feet: Sequence[Foot], normal: Array) -> _Plane:
+        """Fit the heights and the levels of feet; those that differ from the others weigh less.
+
+        Where they differ by more than their deviations, the plane is known as much worse.
+        """
+        limits = StandingCheckSettings.current()
+        axes = np.linalg.svd(normal[None])[2][1:]
+        centres = np.array([f.contacts.mean(axis=0) for f in feet])
+        middle = centres.mean(axis=0)
+        away = (centres - middle) @ axes.T
+        slopes = np.array([-(axes @ f.level) / (normal @ f.level) for f in feet])
+        found = np.concatenate([((centres - middle) @ normal)[:, None], slopes], axis=1)
+        # (feet, 3 measurements, 3 parameters)
+        J = np.zeros((len(feet), 3, 3))
+        J[:, 0, :2], J[:, 0, 2], J[:, 1, 0], J[:, 2, 1] = away, 1.0, 1.0, 1.0
+        sizes = np.array([f.size for f in feet])
+        sigma = np.full((len(feet), 3), limits.level_std_rad)
+        sigma[:, 0] = np.hypot(limits.uneven_m, limits.mesh_part * sizes)
+        J, found = J / sigma[..., None], found / sigma
+        weights = np.ones(len(feet))
+        for _ in range(_ROUNDS):
+            H = np.einsum("f,fmi,fmj->ij", weights, J, J)
+            solved = np.linalg.solve(H, np.einsum("f,fmi,fm->i", weights, J, found))
+            square = ((found - J @ solved) ** 2).sum(axis=1)
+            weights = 1 / (1 + square / (3 * limits.outlying**2))
+        excess = float(weights @ square) / max(3 * float(weights.sum()) - 3, 1.0)
+        fitted = normal - axes.T @ solved[:2]
+        fitted /= np.linalg.norm(fitted)
+        # Slopes are small: the axes turn with the normal.
+        along = axes - np.outer(axes @ fitted, fitted)
+        return _Plane(
+            fitted,
+            middle + solved[2] * normal,
+            along,
+            np.linalg.inv(H) * max(1.0, excess),
+            len(feet),
+        )
 
 
 class Standing:
@@ -154,7 +203,7 @@ class Standing:
         )
         if len(others) < fewest:
             return None
-        plane = self._fitted(others, normal)
+        plane = _Plane.under([Foot.of(self._placed[i], normal) for i in sorted(others)], normal)
         return _motion(Foot.of(self._placed[object_id], plane.normal), plane, centre, free)
 
     def _low(self, object_id: int, normal: Array) -> float:
@@ -173,16 +222,6 @@ class Standing:
                 if tilt <= limits.level_rad:
                     found.add(j)
         return frozenset(found)
-
-    def _fitted(self, chosen: Collection[int], normal: Array) -> _Plane:
-        limits = StandingCheckSettings.current()
-        feet = [Foot.of(self._placed[i], normal) for i in sorted(chosen)]
-        normal = np.mean([f.level for f in feet], axis=0)
-        normal /= np.linalg.norm(normal)
-        heights = np.array([float((f.contacts @ normal).mean()) for f in feet])
-        spread = max(limits.uneven_m, float(np.std(heights)))
-        std = float(spread / np.sqrt(len(feet)))
-        return _Plane(normal, float(np.median(heights)), std, len(feet))
 
 
 def standing_of(scene: Scene, objects: Sequence[ObjectCheck], up: Array) -> Standing:
@@ -217,22 +256,23 @@ def _motion(foot: Foot, plane: _Plane, centre: Array, free: Array) -> Value | No
     """The motion that puts the contacts of an object on the plane, and its covariance."""
     limits = StandingCheckSettings.current()
     normal = plane.normal
-    above = foot.contacts @ normal - plane.height
+    above, by_plane = plane.heights(foot.contacts)
     if foot.tilt > limits.level_rad or np.abs(above).mean() > limits.reach_m:
         return None
     arm = foot.contacts - centre
     J = np.concatenate([np.tile(normal, (len(arm), 1)), np.cross(arm, normal)], axis=1)
-    # Three contacts carry an object, however many corners its face has; the height of the plane,
-    # and that of the foot of a mesh, are common to all.
+    # Three contacts carry an object, however many corners its face has; the errors of the plane,
+    # and that of the height of a mesh's foot, are common to all.
     weight = 3 / len(J) / limits.uneven_m**2
     information = weight * J.T @ J
     gradient = -weight * J.T @ above
     own = limits.mesh_part * foot.size
     inverse = np.linalg.inv(information + np.diag(1 / _OPEN**2))
     motion = inverse @ gradient
-    common = J.mean(axis=0)
-    shared = inverse @ (weight * len(J) * common)
-    covariance = inverse + np.outer(shared, shared) * (plane.std**2 + own**2)
+    by_heights = weight * inverse @ J.T
+    shared, by_plane = by_heights.sum(axis=1), by_heights @ by_plane
+    covariance = inverse + own**2 * np.outer(shared, shared)
+    covariance += by_plane @ plane.covariance @ by_plane.T
     covariance[3:, 3:] += limits.level_std_rad**2 * (np.eye(3) - np.outer(normal, normal))
     if len(free):
         kept = np.eye(6) - free.T @ np.linalg.pinv(free @ free.T) @ free

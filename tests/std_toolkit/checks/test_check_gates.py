@@ -148,6 +148,13 @@ def test_a_bad_label_fails_its_gate(change: dict[str, object], key: str) -> None
         assert verdict(item) == "wrong"
 
 
+def test_reflections_that_move_accuse_no_steel() -> None:
+    steel = mug(material="specular", drift_px=3.2, depth_mm=None, distance_m=None)
+    assert gates(steel)["drift"].status != "fail" and verdict(steel) == "unknown"
+    far = mug(material="specular", drift_px=13.0, depth_mm=None, distance_m=None)
+    assert gates(far)["drift"].status == "fail" and verdict(far) == "wrong"
+
+
 @pytest.mark.parametrize(
     ("change", "key"),
     [

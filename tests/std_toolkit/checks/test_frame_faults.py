@@ -17,7 +17,7 @@ from std_toolkit.checks.gates.frames import FrameFaults, find_frame_faults
 from std_toolkit.checks.gates.gate import Measured
 from std_toolkit.checks.gates.judge import judge_rows, judge_scene
 from std_toolkit.checks.inject.faults import Fault, FaultyScene, apply_fault
-from std_toolkit.checks.measure.frame_evidence import FrameEvidence
+from std_toolkit.checks.measure.frame_evidence import FrameEvidence, sliding_runs
 from std_toolkit.checks.measure.frame_motion import Displaced
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame, open_for_work
 from std_toolkit.checks.measure.sensor_depth import DepthShift, common_depth_shift
@@ -140,6 +140,22 @@ def test_hidden_frames_are_told_and_no_fault() -> None:
     assert report.gate("moved").status == report.gate("camera").status == "pass"
     (warning,) = (w for w in report.warnings if "not seen" in w.problem)
     assert warning.severity == "low" and warning.problem.endswith("2-3, 6")
+
+
+@pytest.mark.parametrize(
+    ("motion", "mm", "moved"),
+    [
+        ([0.008, 0, 0, 0, 0, 0.1], 8.0, True),  # it slid, and turned
+        ([0.004, 0, 0.006, 0.08, 0, 0], 8.0, False),  # it would hang in the air, askew
+        ([0.008, 0, 0.001, 0.01, 0, 0], 8.0, True),  # by the deviations it may have slid
+        ([0.004, 0, 0.03, 0.6, 0, 0], 30.0, True),  # it fell over
+    ],
+)
+def test_glass_that_moves_a_little_slides(motion: list[float], mm: float, moved: bool) -> None:
+    covariance = np.diag([0.001**2] * 3 + [0.015**2] * 3)
+    run = Displaced((3,), 2, 4, np.array(motion), covariance, mm, 9.0, 4.0)
+    up = np.array([0.0, 0.0, 1.0])
+    assert sliding_runs([run], up, OPTIONS) == ([run] if moved else [])
 
 
 def test_depth_is_a_fault_of_its_frame() -> None:

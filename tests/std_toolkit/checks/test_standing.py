@@ -66,6 +66,31 @@ def test_one_other_object_is_no_plane() -> None:
     assert seen(box(0.15, 0.005), OTHERS[:1]) is None
 
 
+def test_others_that_contradict_each_other_say_little() -> None:
+    """A curved thing lies on no face: the level that its mesh tells is 5 degrees off."""
+    askew = [box(-0.02), box(0.05, turn=np.deg2rad([0, 5, 0]))]
+    found = seen(box(0.25), askew)
+    assert found is not None and found.motion is not None and found.covariance is not None
+    sigma = np.sqrt(np.diag(np.reshape(found.covariance, (6, 6))))
+    assert abs(found.motion[2]) < 2 * sigma[2] and abs(found.motion[4]) < 2 * sigma[4]
+    assert sigma[2] > 2 and sigma[4] > 1
+
+
+def test_one_of_many_that_stands_askew_hardly_counts() -> None:
+    found = seen(box(0.4), [*OTHERS, box(0.05, turn=np.deg2rad([0, 5, 0]))])
+    assert found is not None and found.motion is not None
+    assert abs(found.motion[2]) < 1.0 and abs(found.motion[4]) < 0.5
+
+
+def test_a_plane_is_known_less_far_away() -> None:
+    sigma = []
+    for x in (0.05, 0.6):
+        found = seen(box(x))
+        assert found is not None and found.covariance is not None
+        sigma.append(np.sqrt(found.covariance[2 * 6 + 2]))
+    assert sigma[1] > 1.5 * sigma[0]
+
+
 def test_objects_at_other_heights_are_left_out() -> None:
     shelf = [*OTHERS, box(0.4, 0.1)]
     found = seen(box(0.15, 0.003), shelf)
