@@ -43,6 +43,10 @@ class FrameEvidenceSettings(Settings):
     """part of its displacement by which an object may miss what a camera explains"""
     topples: float = limit(3.0, source="what is bumped slides; what falls over moves far")
     """limits of the displacement below which glass and steel slide on their support"""
+    misled_m: float = limit(0.002, unit="m", source="`judge.misled_mm`")
+    """deviation of their lift by reflections and refraction, besides its own"""
+    misled_rad: float = limit(np.radians(1.8), unit="rad", source="`judge.misled_deg`")
+    """the same of their tilts"""
 
 
 @dataclass(frozen=True)
@@ -235,21 +239,19 @@ def sliding_runs(runs: Sequence[Displaced], up: Array, options: CheckOptions) ->
     """The runs without small motions off the support, which edges inside of glass imitate.
 
     What is bumped slides on its support and turns about its normal `up` (3,); what falls over moves
-    far. A run is kept that is significant without its lift and its tilts.
+    far. A run is kept whose margin exceeds chi square of its lift and its tilts.
     """
-    far = FrameEvidenceSettings.current().topples * options.max_motion_mm
-    return [r for r in runs if r.mm >= far or _loss_by_sliding(r, up) <= r.margin]
-
-
-def _loss_by_sliding(run: Displaced, up: Array) -> float:
-    """Log likelihood that a motion loses without its lift and its tilts."""
-    along = np.linalg.svd(up[None])[2][1:]
+    limits = FrameEvidenceSettings.current()
+    far = limits.topples * options.max_motion_mm
     off = np.zeros((3, 6))
-    off[0, :3], off[1:, 3:] = up, along
-    least = np.diag([1e-8, 1e-6, 1e-6])  # 0.1 mm, 0.06 deg: what a symmetry leaves open
-    return 0.5 * float(
-        off @ run.motion @ np.linalg.solve(off @ run.covariance @ off.T + least, off @ run.motion)
-    )
+    off[0, :3], off[1:, 3:] = up, np.linalg.svd(up[None])[2][1:]
+    misled = np.diag([limits.misled_m] + [limits.misled_rad] * 2) ** 2
+
+    def chi2(run: Displaced) -> float:
+        lifted = off @ run.motion
+        return float(lifted @ np.linalg.solve(off @ run.covariance @ off.T + misled, lifted))
+
+    return [r for r in runs if r.mm >= far or chi2(r) <= r.margin]
 
 
 def _seen_motion(centre: Array, T_world_cam: SE3) -> Array:
