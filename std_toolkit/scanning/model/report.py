@@ -25,7 +25,7 @@ from std_toolkit.html.table import text_table
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.scanning.model.bake import rendered
-from std_toolkit.scanning.model.write_model import Scan
+from std_toolkit.scanning.model.write_model import Scan, guessed_name
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.photos.visibility import hull_depth
 
@@ -64,6 +64,8 @@ def write_report(folder: Path, scan: Scan) -> Path:
         "colour residual": f"{np.median(residuals):.1f} grey values",
         "supported by depth": f"{100 * measured:.0f} % of the surface",
         "seen by a photo": f"{100 * seen:.0f} % of the surface",
+        "guessed texture": f"{100 * _guessed(scan, share):.0f} %, marked in "
+        f"{guessed_name(scan.name)} and by the property guessed of {scan.name}.ply",
     }
     document: dict[str, Any] = {
         "tool": f"std-toolkit {__version__}",
@@ -114,6 +116,15 @@ def write_report(folder: Path, scan: Scan) -> Path:
     path = folder / "report.html"
     write_bytes_atomic(path, page.html().encode())
     return path
+
+
+def _guessed(scan: Scan, share: NDArray[np.float64]) -> float:
+    """Part of the surface whose texture no photo shows, by the middle of its faces."""
+    size = len(scan.texture.guessed)
+    middle = scan.texture.uv.mean(axis=1)
+    column = np.clip((middle[:, 0] * size).astype(np.int64), 0, size - 1)
+    row = np.clip(((1 - middle[:, 1]) * size).astype(np.int64), 0, size - 1)
+    return float(share[scan.texture.guessed[row, column]].sum())
 
 
 def _advice(scan: Scan, share: NDArray[np.float64], overlaps: list[float]) -> list[str]:
