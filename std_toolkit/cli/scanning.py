@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_scan(options: ScanOptions) -> int:
-    """Scan and print where the model is."""
+    """Scan and print where the model is; 1 if the mesh must not be used."""
     import pycolmap  # noqa: F401, I001 - first: see `std_toolkit.libraries`
 
     import manifold3d  # noqa: F401 (without it a scan would fail at its end, after minutes)
@@ -34,7 +34,9 @@ def run_scan(options: ScanOptions) -> int:
     for name, value in result.facts.items():
         print(f"  {name}: {value}")
     print(f"report: {options.out / 'report.html'}")
-    return 0
+    for fault in result.faults:
+        print(f"error: the mesh must not be used: {fault}", file=sys.stderr)
+    return 1 if result.faults else 0
 
 
 def make_board(command: BoardCommand) -> int:

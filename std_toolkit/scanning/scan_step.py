@@ -56,7 +56,8 @@ def scan(options: ScanOptions) -> Scan:
         options: photos, board, folder of the model, and everything else.
 
     Returns:
-        The model in metres, in its own frame (z up where it stood on the board).
+        The model in metres, in its own frame (z up where it stood on the board). Its files are
+        written, too, if it has `faults`, for which `std-scan` ends with status 1.
 
     Raises:
         ToolkitError: the photos do not suffice; the message says what to photograph.
@@ -124,7 +125,7 @@ def _scan(options: ScanOptions, work: Path, known: Sequence[str]) -> Scan:
     with own_files(options.out, file_names(result.name), known=known):
         write_model(options.out, result.name, result.vertices, faces, texture)
         write_symmetry(options.out, symmetry)
-        write_report(options.out, result)
+        result = write_report(options.out, result)
     lap("files")
     return result
 
@@ -262,7 +263,7 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
         "poses",
         {"photos": inputs, "board": digest_file(options.board)},
         {"intrinsics": options.intrinsics, "max_features": options.max_features,
-         "size": found.factor, "photos": kept, "format": 4},
+         "size": found.factor, "photos": kept, "format": 5},
         LIMITS,
     )  # fmt: skip
 
@@ -288,6 +289,7 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
             "index": np.array([kept[i] for i in p.poses]),
             "T": np.stack([T.matrix() for T in p.poses.values()]),
             "corners": p.corners,
+            "ids": p.ids,
             "points": p.points,
             "found": np.concatenate(
                 [
@@ -325,7 +327,7 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
     return PosedPhotos(
         views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]),
         on_table=True, facts=facts, warnings=warnings, digest=artefact.digest, photos=found,
-        found=_undistorted(a["found"], found, camera),
+        found=_undistorted(a["found"], found, camera), ids=np.asarray(a["ids"]),
     )  # fmt: skip
 
 

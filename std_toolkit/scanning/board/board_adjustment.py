@@ -49,6 +49,7 @@ class PosedPhotos:
         camera: intrinsics shared by all photos.
         poses: T_world_cam by index of the photo; photos without a pose are missing.
         corners: (M, 3) corners of the board in the world, metres.
+        ids: (M,) their ids.
         corner_rms_px: root mean square reprojection error of the corners that are not false.
         feature_rms_px: the same of the features; NaN without features.
         scale_deviation: relative difference of the size of the board that the features imply.
@@ -58,6 +59,7 @@ class PosedPhotos:
     camera: Camera
     poses: dict[int, SE3]
     corners: NDArray[np.float64]
+    ids: NDArray[np.int64]
     corner_rms_px: float
     feature_rms_px: float
     scale_deviation: float
@@ -246,10 +248,12 @@ def adjust(model: Any, found: Sequence[BoardDetection]) -> PosedPhotos:
     ids = [p for p in model.point3D_ids() if p not in fixed]
     points = np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3)
     squares = np.array([model.point3D(p).error for p in ids])
+    every, places = np.unique(np.concatenate([f.ids for f in found]), return_index=True)
     return PosedPhotos(
         camera=camera,
         poses=poses,
-        corners=np.array(sorted(corners)).reshape(-1, 3),
+        corners=np.concatenate([f.xyz for f in found])[places].reshape(-1, 3),
+        ids=every,
         corner_rms_px=float(np.sqrt((errors**2).mean())) if r else float("nan"),
         feature_rms_px=float(np.sqrt((squares**2).mean())) if len(squares) else float("nan"),
         scale_deviation=_scale_deviation(poses, found, camera),

@@ -32,6 +32,7 @@ class Scan:
         facts: name and value of what was measured.
         warnings: sentences on what to do better.
         seconds: time of each stage.
+        faults: why the mesh must not be used; empty for a good one.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Scan:
     facts: dict[str, Any]
     warnings: list[str]
     seconds: dict[str, float] = field(default_factory=dict)
+    faults: Sequence[str] = ()
 
 
 def file_names(name: str) -> list[str]:
