@@ -55,14 +55,21 @@ def with_command(words: list[str]) -> list[str]:
     """A folder or video as the first word is that of the photos, unless it is called as a command.
 
     Raises:
-        UsageError: it could be both.
+        UsageError: it could be both, or is neither.
 
     >>> with_command([".", "--out", "cup"])
     ['photos', '.', '--out', 'cup']
     """
     place = next((i for i, word in enumerate(words) if word[:1] != "-"), None)
     named = {command.name for command in PROGRAM.commands}
-    if place is None or not Path(words[place]).exists():
+    if place is None:
+        return words
+    if not Path(words[place]).exists():
+        if place == 0 and words[0] not in named:
+            raise UsageError(
+                f"{words[0]}: no such folder of photos, and no command of std-scan, whose commands "
+                f"are {', '.join(sorted(named))}"
+            )
         return words
     following = [Path(word) for word in words[place + 1 : place + 3]]
     if words[place] in named and following and following[0].is_dir():

@@ -272,6 +272,8 @@ def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: 
         detections = board_photos.detect_boards(paths, board, options.jobs)
         assert options.board is not None
         board_photos.check_boards(detections, paths, options.board)
+        board_photos.check_layout(detections, found.size, options.board)
+        board_photos.check_zoom(detections, found.size, [found.paths[i].name for i in kept])
         if options.intrinsics is not None:
             whole = image_size(found.paths[0])
             given = read_intrinsics(options.intrinsics, size=whole)

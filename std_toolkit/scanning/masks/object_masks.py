@@ -122,8 +122,9 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
             found[view.name] = mask > 0
     if not found:
         raise ToolkitError(
-            "no mask is named as a photo", path=folder, hint=f"such as {posed.views[0].name}.png"
-        )
+            "no mask is named as a photo", path=folder, field="--masks",
+            hint=f"such as {Path(posed.views[0].name).stem}.png",
+        )  # fmt: skip
     return found
 
 
