@@ -1,5 +1,7 @@
 """The printed board in photos: its corners, the camera's intrinsics, the pose of one photo."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -42,6 +44,28 @@ class BoardPhotoSettings(Settings):
         3.0, source="photos of one lens: up to 1.3 (real); zoomed 1.25 times: 16"
     )
     """times by which the focal length of the others explains it worse than its own"""
+
+
+@dataclass(frozen=True)
+class PhotoCameras:
+    """Intrinsics of photos.
+
+    Attributes:
+        cameras: of each group of photos.
+        groups: number of the group of each photo.
+    """
+
+    cameras: tuple[Camera, ...]
+    groups: tuple[int, ...]
+
+    @staticmethod
+    def one(camera: Camera, count: int) -> PhotoCameras:
+        """One camera of so many photos."""
+        return PhotoCameras((camera,), (0,) * count)
+
+    def of(self, index: int) -> Camera:
+        """Intrinsics of a photo."""
+        return self.cameras[self.groups[index]]
 
 
 def detect_boards(paths: Sequence[Path], board: Board, jobs: JobOptions) -> list[BoardDetection]:

@@ -131,13 +131,15 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
 def _numbers(text: str, option: str, count: int, posed: PosedPhotos) -> tuple[int, list[float]]:
     name, _, rest = text.rpartition(":")
     try:
-        values = [float(x) * posed.photos.factor for x in rest.split(",")]
+        values = [float(x) for x in rest.split(",")]
     except ValueError:
         values = []
     if not name or len(values) != count:
         expected = "PHOTO:x,y" if count == 2 else "PHOTO:x0,y0,x1,y1"
         raise ToolkitError(f"expected {expected}", field=option, value=text)
-    wanted = posed.photos.paths[posed.photos.index_of(name, option)].name
+    index = posed.photos.index_of(name, option)
+    wanted = posed.photos.paths[index].name
+    values = [v * posed.photos.factor_of(index) for v in values]
     for i, view in enumerate(posed.views):
         if view.name == wanted:
             return i, values

@@ -76,7 +76,7 @@ def test_the_board_file_of_another_sheet_is_recognised() -> None:
     # The same ids in a full grid of six columns.
     pitch = 0.03
     square = np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]]) * 0.0125
-    grid = {i: square + [pitch * (i % 6), -pitch * (i // 6), 0] for i in corners()}
+    grid = {i: square + np.array([pitch * (i % 6), -pitch * (i // 6), 0]) for i in corners()}
     with pytest.raises(ToolkitError, match=r"board\.json: the tags lie otherwise than this file"):
         check_layout(detections([1.0] * 12, grid), SIZE, Path("board.json"))
 
