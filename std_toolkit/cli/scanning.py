@@ -44,9 +44,9 @@ def make_board(command: BoardCommand) -> int:
     from std_toolkit.poses.board_sheet import write_board_pdf
 
     sheet, description = write_board_pdf(
-        command.out, paper=command.paper, first_id=command.first_id
+        command.out, paper=command.paper, first_id=command.first_id, middle=command.middle
     )
-    print(f"{sheet}: print at 100 % and check its ruler")
+    print(f"{sheet}: print at 100 %, check its ruler, and lay it flat")
     print(f"{description}: for --board")
     return 0
 
