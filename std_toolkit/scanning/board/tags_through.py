@@ -30,7 +30,10 @@ _PHOTOS = 24
 # Share of right cells from which a tag is certainly the one near its place.
 _SURE = 0.95
 
-_SET_ON = "rendered turntables of six glasses and of eight opaque, steel and sprayed objects"
+_SET_ON = (
+    "rendered photos: 16 and 22 displaced tags in 10 photos of two tumblers, none in 34 of a can, a "
+    "clamp, a steel mug and a steel bowl"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
