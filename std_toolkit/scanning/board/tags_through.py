@@ -31,8 +31,8 @@ _PHOTOS = 24
 _SURE = 0.95
 
 _SET_ON = (
-    "rendered photos: 16 and 22 displaced tags in 10 photos of two tumblers, none in 34 of a can, a "
-    "clamp, a steel mug and a steel bowl"
+    "rendered photos: 16 and 22 displaced tags in 10 photos of two tumblers, none in 34 of a can, "
+    "a clamp, a steel mug and a steel bowl"
 )
 
 
