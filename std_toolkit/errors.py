@@ -87,6 +87,7 @@ EXTRAS: dict[str, str] = {
     "onnx": "train",
     "onnxruntime": "restore",
     "onnxscript": "train",
+    "pillow_heif": "heic",
     "pyoidn": "sim",
     "pyrealsense2": "realsense",
     "pytorch_lightning": "train",

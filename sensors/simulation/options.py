@@ -253,7 +253,7 @@ class TurntableOptions(CheckedOptions):
         default=(22.0, 50.0), metadata={"option": "elevations"}
     )
     """heights of the camera, as angles above the table"""
-    paper: Literal["a4", "a3"] = "a4"
+    paper: Literal["a4", "a3", "letter"] = "a4"
     """size of the printed board"""
     environment: Path | None = None
     """lat-long .hdr or .exr map (a procedural room with area lights)"""

@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_scan(options: ScanOptions) -> int:
-    """Scan and print where the model is."""
+    """Scan and print where the model is; 1 if the mesh must not be used."""
     import pycolmap  # noqa: F401, I001 - first: see `std_toolkit.libraries`
 
     import manifold3d  # noqa: F401 (without it a scan would fail at its end, after minutes)
@@ -34,7 +34,9 @@ def run_scan(options: ScanOptions) -> int:
     for name, value in result.facts.items():
         print(f"  {name}: {value}")
     print(f"report: {options.out / 'report.html'}")
-    return 0
+    for fault in result.faults:
+        print(f"error: the mesh must not be used: {fault}", file=sys.stderr)
+    return 1 if result.faults else 0
 
 
 def make_board(command: BoardCommand) -> int:
@@ -42,9 +44,9 @@ def make_board(command: BoardCommand) -> int:
     from std_toolkit.poses.board_sheet import write_board_pdf
 
     sheet, description = write_board_pdf(
-        command.out, paper=command.paper, first_id=command.first_id
+        command.out, paper=command.paper, first_id=command.first_id, middle=command.middle
     )
-    print(f"{sheet}: print at 100 % and check its ruler")
+    print(f"{sheet}: print at 100 %, check its ruler, and lay it flat")
     print(f"{description}: for --board")
     return 0
 
@@ -53,14 +55,21 @@ def with_command(words: list[str]) -> list[str]:
     """A folder or video as the first word is that of the photos, unless it is called as a command.
 
     Raises:
-        UsageError: it could be both.
+        UsageError: it could be both, or is neither.
 
     >>> with_command([".", "--out", "cup"])
     ['photos', '.', '--out', 'cup']
     """
     place = next((i for i, word in enumerate(words) if word[:1] != "-"), None)
     named = {command.name for command in PROGRAM.commands}
-    if place is None or not Path(words[place]).exists():
+    if place is None:
+        return words
+    if not Path(words[place]).exists():
+        if place == 0 and words[0] not in named:
+            raise UsageError(
+                f"{words[0]}: no such folder of photos, and no command of std-scan, whose commands "
+                f"are {', '.join(sorted(named))}"
+            )
         return words
     following = [Path(word) for word in words[place + 1 : place + 3]]
     if words[place] in named and following and following[0].is_dir():

@@ -16,9 +16,17 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 
-Paper = Literal["a4", "a3"]
+Paper = Literal["a4", "a3", "letter"]
+Middle = Literal["white", "grey", "pattern"]
 
-PAPER_MM: dict[Paper, tuple[float, float]] = {"a4": (210.0, 297.0), "a3": (297.0, 420.0)}
+PAPER_MM: dict[Paper, tuple[float, float]] = {
+    "a4": (210.0, 297.0),
+    "a3": (297.0, 420.0),
+    "letter": (215.9, 279.4),
+}
+
+# Smallest id of each sheet, with room for its tags: a photo tells which sheet it shows.
+_FIRST_IDS: dict[Paper, int] = {"a4": 0, "a3": 60, "letter": 120}
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 
@@ -33,6 +41,9 @@ _CELLS = 8
 
 _RULER_MM = 100.0
 
+# Grey of the middle, 0 black to 1 white; a pattern has blocks of this size and these greys.
+_MIDDLE_GREY, _BLOCK_MM, _PATTERN = 0.5, 5.0, (0.35, 0.45, 0.55, 0.65)
+
 _PT = 72 / 25.4
 
 
@@ -44,11 +55,38 @@ class BoardSheet:
         paper_mm: width and height of the sheet.
         tag_mm: edge of a tag with its black border.
         places: (id, x, y) of the tags' centres, millimetres from the middle of the sheet.
+        paper: name of its size.
+        middle: what is printed where the object stands.
     """
 
     paper_mm: tuple[float, float]
     tag_mm: float
     places: tuple[tuple[int, float, float], ...]
+    paper: Paper = "a4"
+    middle: Middle = "white"
+
+    @property
+    def ids(self) -> tuple[int, int]:
+        """Smallest and largest id."""
+        numbers = [i for i, _, _ in self.places]
+        return min(numbers), max(numbers)
+
+    def middle_cells(self) -> list[tuple[float, float, float, float, float]]:
+        """Grey rectangles (x, y, width, height, grey) of the middle, mm from the middle."""
+        if self.middle == "white":
+            return []
+        # The white gap around tags stays.
+        gap = self.tag_mm / 2 + 1.5 * self.tag_mm / _CELLS
+        half = [max(abs(place[k]) for place in self.places) - gap for k in (1, 2)]
+        if self.middle == "grey":
+            return [(-half[0], -half[1], 2 * half[0], 2 * half[1], _MIDDLE_GREY)]
+        columns, rows = (int(2 * h // _BLOCK_MM) for h in half)
+        shades = np.random.default_rng(0).choice(_PATTERN, (rows, columns))
+        return [
+            ((c - columns / 2) * _BLOCK_MM, (r - rows / 2) * _BLOCK_MM, _BLOCK_MM, _BLOCK_MM,
+             float(shades[r, c]))
+            for r in range(rows) for c in range(columns)
+        ]  # fmt: skip
 
     def document(self) -> dict[str, object]:
         """The board's JSON: corners of each tag in millimetres, in OpenCV's order."""
@@ -60,7 +98,13 @@ class BoardSheet:
             ]
             for i, x, y in self.places
         }
-        return {"dictionary": DICTIONARY, "paper_mm": list(self.paper_mm), **corners}
+        return {
+            "dictionary": DICTIONARY,
+            "paper": self.paper,
+            "paper_mm": list(self.paper_mm),
+            "middle": self.middle,
+            **corners,
+        }
 
     def cells(self) -> list[tuple[float, float, float, float]]:
         """Black rectangles (x, y, width, height), mm from the middle, runs of cells as one."""
@@ -82,12 +126,15 @@ class BoardSheet:
         return rectangles
 
 
-def make_board_sheet(paper: Paper = "a4", *, first_id: int = 0) -> BoardSheet:
+def make_board_sheet(
+    paper: Paper = "a4", *, first_id: int | None = None, middle: Middle = "white"
+) -> BoardSheet:
     """Tags along the four edges of a sheet.
 
     Args:
         paper: size of the sheet.
-        first_id: smallest id, where several boards are in use.
+        first_id: smallest id, where several boards are in use; None for that of the size.
+        middle: what is printed where the object stands.
 
     Raises:
         ToolkitError: an unknown size, or ids beyond those of the dictionary.
@@ -96,6 +143,7 @@ def make_board_sheet(paper: Paper = "a4", *, first_id: int = 0) -> BoardSheet:
         raise ToolkitError(
             "unknown paper", field="paper", value=paper, hint=f"one of {', '.join(PAPER_MM)}"
         )
+    first_id = _FIRST_IDS[paper] if first_id is None else first_id
     width, height = PAPER_MM[paper]
     columns = 6
     pitch = (width - 2 * _MARGIN_MM) / columns
@@ -113,15 +161,17 @@ def make_board_sheet(paper: Paper = "a4", *, first_id: int = 0) -> BoardSheet:
             value=first_id,
         )
     places = tuple((first_id + n, float(x[i]), float(y[j])) for n, (i, j) in enumerate(edge))
-    return BoardSheet((width, height), round(_TAG_SHARE * pitch, 1), places)
+    return BoardSheet((width, height), round(_TAG_SHARE * pitch, 1), places, paper, middle)
 
 
-def write_board_pdf(path: Path, *, paper: Paper = "a4", first_id: int = 0) -> tuple[Path, Path]:
+def write_board_pdf(
+    path: Path, *, paper: Paper = "a4", first_id: int | None = None, middle: Middle = "white"
+) -> tuple[Path, Path]:
     """Write a board as PDF, drawn in exact millimetres, and its description beside it.
 
     Args:
         path: the PDF; the description has the same name with the suffix .json.
-        paper, first_id: see `make_board_sheet`.
+        paper, first_id, middle: see `make_board_sheet`.
 
     Returns:
         Both files.
@@ -131,7 +181,7 @@ def write_board_pdf(path: Path, *, paper: Paper = "a4", first_id: int = 0) -> tu
     """
     if path.suffix.lower() != ".pdf":
         raise ToolkitError("must end in .pdf", path=path, field="--out", value=path.name)
-    sheet = make_board_sheet(paper, first_id=first_id)
+    sheet = make_board_sheet(paper, first_id=first_id, middle=middle)
     description = path.with_suffix(".json")
     write_bytes_atomic(path, _pdf(sheet, description.name))
     text = json.dumps(sheet.document(), indent=1)
@@ -163,11 +213,21 @@ def _pdf(sheet: BoardSheet, description: str) -> bytes:
         box(end, low - 1.5, 0.25, 3.25)
     text(-_RULER_MM / 2 + 4, low + 1, 7, "100 mm: print at 100 %, without fitting to the page")
     # Half crosses: where the object stands, and the x axis.
-    drawn.append("0.75 g")
+    light = "0.75 g"
+    drawn.append(light)
+    for x, y, w, h, grey in sheet.middle_cells():
+        drawn.append(f"{grey:g} g")
+        box(x, y, w, h)
+    drawn.append(light if sheet.middle == "white" else "0.9 g")
     box(-6, -0.15, 24, 0.3)
     box(-0.15, -6, 0.3, 12)
     text(19, -0.9, 7, "x")
-    text(-_RULER_MM / 2 + 4, low - 2.6, 5, f"{description}: tags of {sheet.tag_mm:g} mm")
+    text(-13, -11, 7, "lay flat, object here")
+    drawn.append("0.4 g")
+    first, last = sheet.ids
+    family = "AprilTag 36h11"
+    text(-_RULER_MM / 2 + 4, low - 2.6, 5, f"{description}: {family}, ids {first} to {last}, "
+         f"tags of {sheet.tag_mm:g} mm, {sheet.paper}")  # fmt: skip
     stream = "\n".join(drawn).encode("latin-1", "replace")
     page = f"/MediaBox [0 0 {width * _PT:.4f} {height * _PT:.4f}]".encode()
     objects = (

@@ -121,7 +121,11 @@ class BoardCommand:
 
     out: Path = field(metadata={"option": "out", "writes": Writes("file")})
     """PDF file; the description has the same name with the suffix .json"""
-    paper: Literal["a4", "a3"] = "a4"
-    """size of the sheet"""
-    first_id: int = 0
-    """id of the first tag; boards that are used side by side need different ids"""
+    paper: Literal["a4", "a3", "letter"] = "a4"
+    """size of the sheet; letter: 8.5 x 11 inches"""
+    middle: Literal["white", "grey", "pattern"] = "white"
+    """what is printed where the object stands: grey for white objects, whose outline white paper
+    hides; a pattern of greys for glass"""
+    first_id: int | None = None
+    """id of the first tag (default: 0, 60, 120 for a4, a3, letter); boards of one size that are
+    used side by side need different ids"""

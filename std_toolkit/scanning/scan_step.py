@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array, Floats
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.jobs.door import check_own, has_record, output, own_files
 from std_toolkit.log import logger
+from std_toolkit.scanning.board.photo_poses import posed_photos
 from std_toolkit.scanning.masks.object_masks import both_positions, object_masks
 from std_toolkit.scanning.model.bake import bake_texture
 from std_toolkit.scanning.model.model_frame import find_symmetry, model_frame, write_symmetry
@@ -56,7 +57,8 @@ def scan(options: ScanOptions) -> Scan:
         options: photos, board, folder of the model, and everything else.
 
     Returns:
-        The model in metres, in its own frame (z up where it stood on the board).
+        The model in metres, in its own frame (z up where it stood on the board). Its files are
+        written, too, if it has `faults`, for which `std-scan` ends with status 1.
 
     Raises:
         ToolkitError: the photos do not suffice; the message says what to photograph.
@@ -124,7 +126,7 @@ def _scan(options: ScanOptions, work: Path, known: Sequence[str]) -> Scan:
     with own_files(options.out, file_names(result.name), known=known):
         write_model(options.out, result.name, result.vertices, faces, texture)
         write_symmetry(options.out, symmetry)
-        write_report(options.out, result)
+        result = write_report(options.out, result)
     lap("files")
     return result
 
@@ -134,7 +136,9 @@ def _photos(options: ScanOptions, work: Path) -> photo_files.Photos:
     if photo_files.is_scene(options.photos):
         return photo_files.scene_photos(options.photos, work, longest=options.image_size)
     folder = sample_video(options.photos, work) if is_video(options.photos) else options.photos
-    return photo_files.find_photos(folder, work, longest=options.image_size)
+    # Given intrinsics and poses belong to the pixels as they are stored.
+    stored = options.intrinsics is not None or options.known.cameras is not None
+    return photo_files.find_photos(folder, work, longest=options.image_size, stored=stored)
 
 
 def _posed(
@@ -144,7 +148,7 @@ def _posed(
     """Photos of one position with poses."""
     files = [*found.paths, *([] if found.sensor is None else found.sensor.paths())]
     inputs = digest_of([digest_file(p) for p in files], [p.name for p in files])
-    posed = _poses(options, found, work, inputs)
+    posed = posed_photos(options, found, work, inputs)
     lap("poses")
     return posed
 
@@ -226,116 +230,6 @@ def _joined(
     sides = [(first, SE3.identity()), (second, SE3.from_matrix(a["T"]))]
     views = [replace(v, T_world_cam=T @ v.T_world_cam) for side, T in sides for v in side.views]
     return posed, views, sides
-
-
-def _poses(options: ScanOptions, found: photo_files.Photos, work: Path, inputs: str) -> PosedPhotos:
-    if options.known.cameras is not None:
-        views = photo_files.known_views(found, options.known, options.intrinsics)
-        digest = digest_of(inputs, [v.P.tolist() for v in views], list(found.size))
-        facts = {"poses": f"from {options.known.cameras.name}", "photos": len(views)}
-        return PosedPhotos(
-            views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=False,
-            facts=facts, warnings=[], digest=digest, photos=found,
-        )  # fmt: skip
-    if options.board is None:
-        raise ToolkitError(
-            "the scale is unknown: no board",
-            hint="photograph the object on the printed board and give --board FILE, or give known "
-            "cameras with --cameras",
-        )
-    from std_toolkit.importers.intrinsics import read_intrinsics
-    from std_toolkit.io.images import image_size
-    from std_toolkit.poses.board_scale import Board
-    from std_toolkit.scanning.board import board_photos
-    from std_toolkit.scanning.board.board_poses import pose_photos
-
-    board = Board.read(options.board)
-    blurred = photo_files.blurred_photos(found.used)
-    warnings = []
-    if blurred:
-        names = ", ".join(found.paths[i].name for i in blurred[:6])
-        warnings.append(f"{len(blurred)} blurred photos were left out: {names}")
-        logger.warning("%s", warnings[-1])
-    kept = [i for i in range(len(found.paths)) if i not in set(blurred)]
-    artefact = Artefact(
-        work,
-        "poses",
-        {"photos": inputs, "board": digest_file(options.board)},
-        {"intrinsics": options.intrinsics, "max_features": options.max_features,
-         "size": found.factor, "photos": kept, "format": 4},
-        LIMITS,
-    )  # fmt: skip
-
-    def make() -> dict[str, Any]:
-        paths = [found.used[i] for i in kept]
-        detections = board_photos.detect_boards(paths, board, options.jobs)
-        assert options.board is not None
-        board_photos.check_boards(detections, paths, options.board)
-        if options.intrinsics is not None:
-            whole = image_size(found.paths[0])
-            given = read_intrinsics(options.intrinsics, size=whole)
-            camera = given.scene_camera(whole, path=options.intrinsics).resized(*found.size)
-        elif found.sensor is not None:
-            camera = found.sensor.camera(found.size)
-        else:
-            camera = board_photos.calibrate(detections, found.size)
-        p = pose_photos(
-            paths, detections, camera, work, jobs=options.jobs, max_features=options.max_features
-        )
-        c = p.camera
-        return {
-            "camera": np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion]),
-            "index": np.array([kept[i] for i in p.poses]),
-            "T": np.stack([T.matrix() for T in p.poses.values()]),
-            "corners": p.corners,
-            "points": p.points,
-            "found": np.concatenate(
-                [
-                    np.column_stack([np.full(len(d.uv), i), d.uv])
-                    for i, d in zip(kept, detections, strict=True)
-                ]
-            ),
-            "quality": np.array([p.corner_rms_px, p.feature_rms_px, p.scale_deviation]),
-        }
-
-    a = artefact.arrays(make)
-    fx, fy, cx, cy, *k = (float(x) for x in a["camera"])
-    camera = Camera(*found.size, fx, fy, cx, cy, tuple(k))
-    views = [
-        photo_files.make_view(found, int(i), camera, SE3.from_matrix(T))
-        for i, T in zip(a["index"], a["T"], strict=True)
-    ]
-    lost = sorted(set(kept) - {int(i) for i in a["index"]})
-    if lost:
-        names = ", ".join(found.paths[i].name for i in lost[:6])
-        warnings.append(f"{len(lost)} photos match no other and show no board: {names}")
-        logger.warning("%s", warnings[-1])
-    if len(views) < photo_files.PhotoSettings.current().fewest_photos:
-        raise ToolkitError(
-            f"{len(views)} of {len(found.paths)} photos have a pose",
-            hint="keep most of the board in view and move by small steps",
-        )
-    corner, feature, deviation = (float(x) for x in a["quality"])
-    facts = {
-        "photos": len(views),
-        "board residual": f"{corner:.2f} px",
-        "feature residual": f"{feature:.2f} px",
-        "scale deviation": f"{100 * deviation:.3f} %",
-    }
-    return PosedPhotos(
-        views=views, corners=np.asarray(a["corners"]), points=np.asarray(a["points"]),
-        on_table=True, facts=facts, warnings=warnings, digest=artefact.digest, photos=found,
-        found=_undistorted(a["found"], found, camera),
-    )  # fmt: skip
-
-
-def _undistorted(found: Array, photos: photo_files.Photos, camera: Camera) -> dict[str, Array]:
-    """Corners of the board (N, 2) by the name of the photo, in pixels of its undistorted image."""
-    flat = camera.without_distortion()
-    return {
-        photos.paths[i].name: flat.project(camera.unproject(found[found[:, 0] == i, 1:]))
-        for i in np.unique(found[:, 0]).astype(int)
-    }
 
 
 def _vessel(

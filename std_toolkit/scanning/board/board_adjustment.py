@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.poses.board_scale import BoardDetection
-from std_toolkit.scanning.board.board_photos import BoardPhotoSettings
+from std_toolkit.scanning.board.board_photos import BoardPhotoSettings, PhotoCameras
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _MOST_TRACKS = 15_000
@@ -37,6 +37,10 @@ class BoardAdjustmentSettings(Settings):
     """points that a photo without corners needs"""
     false_ratio: float = limit(6.0, source="corners seen through glass or in a mirror")
     """a corner is false if its error exceeds this multiple of the median error"""
+    largest_residual: float = limit(
+        0.0015, source="rendered photos of one lens have 0.0002 of the longer side"
+    )
+    """median error of the corners of a photo, in parts of the longer side, that is too large"""
     false_px: float = limit(0.3, unit="px", source=NOT_RECORDED)
     """and this many pixels"""
 
@@ -46,18 +50,20 @@ class PosedPhotos:
     """Photos with poses in the frame of the board, z up.
 
     Attributes:
-        camera: intrinsics shared by all photos.
+        cameras: intrinsics of each group of photos.
         poses: T_world_cam by index of the photo; photos without a pose are missing.
         corners: (M, 3) corners of the board in the world, metres.
+        ids: (M,) their ids.
         corner_rms_px: root mean square reprojection error of the corners that are not false.
         feature_rms_px: the same of the features; NaN without features.
         scale_deviation: relative difference of the size of the board that the features imply.
         points: (N, 3) triangulated features.
     """
 
-    camera: Camera
+    cameras: tuple[Camera, ...]
     poses: dict[int, SE3]
     corners: NDArray[np.float64]
+    ids: NDArray[np.int64]
     corner_rms_px: float
     feature_rms_px: float
     scale_deviation: float
@@ -70,7 +76,7 @@ def build_model(
     found: Sequence[BoardDetection],
     uv: dict[int, NDArray[np.float64]],
     pairs: list[tuple[int, int, Any]],
-    camera: Camera,
+    cameras: PhotoCameras,
 ) -> Any:
     """pycolmap.Reconstruction of the corners and of the features that the board explains."""
     import pycolmap
@@ -80,10 +86,11 @@ def build_model(
 
     tracks = join_tracks(pairs, uv)
     poses = dict(poses)
-    poses.update(_further_poses(tracks, poses, camera))
+    poses.update(_further_poses(tracks, poses, cameras))
     model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(_free_camera(camera))
-    chosen = _triangulated(tracks, poses, camera)
+    for n, camera in enumerate(cameras.cameras):
+        model.add_camera_with_trivial_rig(_free_camera(camera, n + 1))
+    chosen = _triangulated(tracks, poses, cameras)
     pixels: dict[int, list[Any]] = {i: _CORNER_WEIGHT * list(found[i].uv) for i in poses}
     at: list[tuple[Any, list[Any]]] = [(xyz, []) for xyz, _, _ in chosen]
     for n, (_, frames, seen) in enumerate(chosen):
@@ -94,7 +101,7 @@ def build_model(
         image = pycolmap.Image(
             name=paths[i].name,
             keypoints=to_colmap_pixels(np.array(pixels[i]).reshape(-1, 2)),
-            camera_id=1,
+            camera_id=cameras.groups[i] + 1,
             image_id=i + 1,
         )
         model.add_image_with_trivial_frame(image, to_rigid3d(poses[i].inverse()))
@@ -113,7 +120,7 @@ def build_model(
     return model
 
 
-def _free_camera(camera: Camera) -> Any:
+def _free_camera(camera: Camera, number: int) -> Any:
     """pycolmap.Camera to adjust: with square pixels, one focal length and radial distortion.
 
     More parameters fit the noise of corners on one plane, and change the size of what stands on it.
@@ -124,17 +131,17 @@ def _free_camera(camera: Camera) -> Any:
 
     k = camera.opencv_distortion
     if len(camera.distortion) > 4 or abs(camera.fx / camera.fy - 1) > _SQUARE:
-        return to_colmap_camera(camera, 1, distorted=True)
-    plain = to_colmap_camera(camera.without_distortion(), 1)
+        return to_colmap_camera(camera, number, distorted=True)
+    plain = to_colmap_camera(camera.without_distortion(), number)
     fx, fy, cx, cy = plain.params
     return pycolmap.Camera(
-        camera_id=1, model="RADIAL", width=camera.width, height=camera.height,
+        camera_id=number, model="RADIAL", width=camera.width, height=camera.height,
         params=[(fx + fy) / 2, cx, cy, *k[:2]], has_prior_focal_length=True,
     )  # fmt: skip
 
 
 def _triangulated(
-    tracks: Any, poses: dict[int, SE3], camera: Camera
+    tracks: Any, poses: dict[int, SE3], cameras: PhotoCameras
 ) -> list[tuple[NDArray[np.float64], Any, Any]]:
     """(point, photos, pixels) of the tracks that the poses explain, longest first."""
     P = {i: T.inverse().matrix()[:3] for i, T in poses.items()}
@@ -145,7 +152,12 @@ def _triangulated(
         if kept.sum() < 2:
             continue
         frames, uv = frames[kept], tracks.uv[a:b][kept]
-        xy = camera.unproject(uv)[:, :2]
+        # Most tracks are of one camera, whose pixels are unprojected together.
+        of = {g: np.flatnonzero([cameras.groups[f] == g for f in frames])
+              for g in {cameras.groups[f] for f in frames}}  # fmt: skip
+        xy = np.empty((len(uv), 2))
+        for g, part in of.items():
+            xy[part] = cameras.cameras[g].unproject(uv[part])[:, :2]
         if not np.isfinite(xy).all():
             continue
         rows = np.concatenate(
@@ -159,7 +171,10 @@ def _triangulated(
         local = np.stack([P[f] @ [*X, 1.0] for f in frames.tolist()])
         if (local[:, 2] < 0.02).any():
             continue
-        error = np.linalg.norm(camera.project(local) - uv, axis=1)
+        error = np.empty(len(uv))
+        for g, part in of.items():
+            off = cameras.cameras[g].project(local[part]) - uv[part]
+            error[part] = np.linalg.norm(off, axis=1)
         if not (error < BoardAdjustmentSettings.current().largest_error_px).all():
             continue
         found.append((X, frames, uv))
@@ -167,7 +182,7 @@ def _triangulated(
     return found[:_MOST_TRACKS]
 
 
-def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[int, SE3]:
+def _further_poses(tracks: Any, poses: dict[int, SE3], cameras: PhotoCameras) -> dict[int, SE3]:
     """Poses of photos without the board, from features that photos with a pose triangulate."""
     limits = BoardAdjustmentSettings.current()
     import pycolmap
@@ -186,7 +201,7 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
         one = replace(
             tracks, frame=tracks.frame[a:b], uv=tracks.uv[a:b], offsets=np.array([0, b - a])
         )
-        for X, _, _ in _triangulated(one, poses, camera):
+        for X, _, _ in _triangulated(one, poses, cameras):
             for n in new:
                 pixels[int(tracks.frame[n])].append(tracks.uv[n])
                 points[int(tracks.frame[n])].append(X)
@@ -199,7 +214,7 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
         estimation.ransac.random_seed = 0
         result = pycolmap.estimate_and_refine_absolute_pose(
             to_colmap_pixels(np.array(pixels[i])), np.array(points[i]),
-            to_colmap_camera(camera, 1), estimation,
+            to_colmap_camera(cameras.of(i), 1), estimation,
         )  # fmt: skip
         if result is not None and result["num_inliers"] >= max(
             limits.fewest_points, 0.4 * len(points[i])
@@ -208,8 +223,19 @@ def _further_poses(tracks: Any, poses: dict[int, SE3], camera: Camera) -> dict[i
     return found
 
 
-def adjust(model: Any, found: Sequence[BoardDetection]) -> PosedPhotos:
-    """Adjust poses, intrinsics and features; the corners are fixed and weigh more."""
+def adjust(
+    model: Any, found: Sequence[BoardDetection], groups: Sequence[int] | None = None
+) -> PosedPhotos:
+    """Adjust poses, intrinsics and features; the corners are fixed and weigh more.
+
+    Args:
+        model: of `build_model`.
+        found: corners of each photo.
+        groups: number of the camera of each photo; None if all have one.
+
+    Raises:
+        ToolkitError: the cameras do not explain the corners of some photos.
+    """
     import pycolmap
 
     from std_toolkit.options import Refinement
@@ -236,25 +262,57 @@ def adjust(model: Any, found: Sequence[BoardDetection]) -> PosedPhotos:
             if n > 0 and not dropped:
                 break
         model.update_point_3d_errors()
-    camera = from_colmap_camera(model.camera(1))
+    count = 1 if groups is None else max(groups) + 1
+    try:
+        adjusted = tuple(from_colmap_camera(model.camera(n + 1)) for n in range(count))
+    except ToolkitError as error:
+        raise error.revised(
+            problem=f"the board does not determine the intrinsics: {error.problem}",
+            hint="give --intrinsics, or photograph the board from two heights with one lens",
+        ) from error
+    cameras = PhotoCameras(adjusted, tuple(groups or (0,) * len(found)))
     poses = {i - 1: from_rigid3d(model.image(i).cam_from_world()).inverse()
              for i in sorted(model.reg_image_ids())}  # fmt: skip
-    r = [np.linalg.norm(camera.project(T.inverse() @ found[i].xyz) - found[i].uv, axis=1)
-         for i, T in poses.items() if len(found[i].ids)]  # fmt: skip
+    of = {
+        i: np.linalg.norm(cameras.of(i).project(T.inverse() @ found[i].xyz) - found[i].uv, axis=1)
+        for i, T in poses.items() if len(found[i].ids)
+    }  # fmt: skip
+    names = {i: model.image(i + 1).name for i in of}
+    _check_residual(of, names, max(max(c.size) for c in cameras.cameras))
+    r = list(of.values())
     errors = np.concatenate(r) if r else np.zeros(1)
     errors = errors[errors <= _largest_error(errors)]
     ids = [p for p in model.point3D_ids() if p not in fixed]
     points = np.array([model.point3D(p).xyz for p in ids]).reshape(-1, 3)
     squares = np.array([model.point3D(p).error for p in ids])
+    every, places = np.unique(np.concatenate([f.ids for f in found]), return_index=True)
     return PosedPhotos(
-        camera=camera,
+        cameras=cameras.cameras,
         poses=poses,
-        corners=np.array(sorted(corners)).reshape(-1, 3),
+        corners=np.concatenate([f.xyz for f in found])[places].reshape(-1, 3),
+        ids=every,
         corner_rms_px=float(np.sqrt((errors**2).mean())) if r else float("nan"),
         feature_rms_px=float(np.sqrt((squares**2).mean())) if len(squares) else float("nan"),
-        scale_deviation=_scale_deviation(poses, found, camera),
+        scale_deviation=_scale_deviation(poses, found, cameras),
         points=points,
     )
+
+
+def _check_residual(
+    errors: dict[int, NDArray[np.float64]], names: dict[int, str], longest: int
+) -> None:
+    """Raise an error if the corners of all photos do not fit, with the photos that fit worst."""
+    median = {i: float(np.median(e)) for i, e in errors.items()}
+    most = BoardAdjustmentSettings.current().largest_residual * longest
+    worst = sorted((i for i in median if median[i] > most), key=lambda i: -median[i])
+    if len(worst) > 2 and len(worst) > len(median) / 10:
+        raise ToolkitError(
+            f"one camera does not explain the board in {len(worst)} of {len(median)} photos "
+            f"within {most:.1f} px: " + ", ".join(names[i] for i in worst[:8]),
+            value=f"{max(median.values()):.1f} px",
+            hint="were they taken with another zoom or lens, or stabilised or cropped? Take them "
+            "out. Does the sheet lie flat, and does the board file describe it?",
+        )
 
 
 def _drop_false_corners(model: Any, fixed: set[int]) -> int:
@@ -264,7 +322,6 @@ def _drop_false_corners(model: Any, fixed: set[int]) -> int:
     """
     import pycolmap
 
-    camera = model.camera(1)
     error: dict[int, NDArray[np.float64]] = {}
     index: dict[int, NDArray[np.int64]] = {}
     for i in model.reg_image_ids():
@@ -275,7 +332,7 @@ def _drop_false_corners(model: Any, fixed: set[int]) -> int:
         if not seen:
             continue
         xyz = np.stack([model.point3D(p).xyz for _, _, p in seen])
-        uv = camera.img_from_cam(image.cam_from_world() * xyz)
+        uv = model.camera(image.camera_id).img_from_cam(image.cam_from_world() * xyz)
         error[i] = np.linalg.norm(np.asarray(uv) - np.stack([xy for _, xy, _ in seen]), axis=1)
         index[i] = np.array([n for n, _, _ in seen])
     if not error:
@@ -311,14 +368,14 @@ def _drop_outliers(model: Any, fixed: set[int]) -> None:
 
 
 def _scale_deviation(
-    poses: dict[int, SE3], found: Sequence[BoardDetection], camera: Camera
+    poses: dict[int, SE3], found: Sequence[BoardDetection], cameras: PhotoCameras
 ) -> float:
     """Half the spread of the scale between halves of the photos, relative: its uncertainty."""
     limits = BoardPhotoSettings.current()
     from std_toolkit.poses.known_points import KnownView, scale_from_known_points
 
     views = [
-        KnownView(T_cam_world=poses[i].inverse(), camera=camera, ids=found[i].ids,
+        KnownView(T_cam_world=poses[i].inverse(), camera=cameras.of(i), ids=found[i].ids,
                   xyz=found[i].xyz, uv=found[i].uv)
         for i in poses if len(found[i].ids) >= limits.fewest_corners
     ]  # fmt: skip

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry import SE3
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.scanning.board.board_adjustment import PosedPhotos, adjust, build_model
-from std_toolkit.scanning.board.board_photos import BoardPhotoSettings, board_pose
+from std_toolkit.scanning.board.board_photos import BoardPhotoSettings, PhotoCameras, board_pose
 from std_toolkit.scanning.board.object_checks import check_rest
 
 # Angle between viewing directions up to which photos are matched.
@@ -31,7 +31,7 @@ _MATCHES_PER_PHOTO = 8
 def pose_photos(
     paths: Sequence[Path],
     found: Sequence[BoardDetection],
-    camera: Camera,
+    cameras: PhotoCameras,
     work: Path,
     *,
     jobs: JobOptions,
@@ -42,7 +42,7 @@ def pose_photos(
     Args:
         paths: the photos.
         found: the board in each.
-        camera: intrinsics to begin with.
+        cameras: intrinsics to begin with.
         work: folder for features and matches.
         jobs: where features are extracted.
         max_features: number of features per photo.
@@ -52,6 +52,7 @@ def pose_photos(
     """
     start: dict[int, SE3] = {}
     for i, f in enumerate(found):
+        camera = cameras.of(i)
         pose = board_pose(f, camera)
         # Corners that a plane does not explain are misread tags.
         if pose is not None and pose[1] < 0.01 * max(camera.size):
@@ -63,20 +64,20 @@ def pose_photos(
     turn = SE3(np.eye(3) if up else np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     start = {i: turn @ T for i, T in start.items()}
     placed = [replace(f, xyz=turn @ f.xyz) for f in found]
-    uv, pairs = _matches(paths, start, camera, work, jobs, max_features)
+    uv, pairs = _matches(paths, start, cameras, work, jobs, max_features)
     plane = np.concatenate([f.xyz[:, :2] for f in placed])
     check_rest(
-        pairs, uv, start, camera, [p.name for p in paths],
+        pairs, uv, start, cameras, [p.name for p in paths],
         reach=(plane.min(axis=0), plane.max(axis=0)),
     )  # fmt: skip
-    model = build_model(paths, start, placed, uv, pairs, camera)
-    return adjust(model, placed)
+    model = build_model(paths, start, placed, uv, pairs, cameras)
+    return adjust(model, placed, cameras.groups)
 
 
 def _matches(
     paths: Sequence[Path],
     poses: dict[int, SE3],
-    camera: Camera,
+    cameras: PhotoCameras,
     work: Path,
     jobs: JobOptions,
     max_features: int,
@@ -92,14 +93,18 @@ def _matches(
     folder = work / "features"
     names = [f"{i:04d}" for i in range(len(paths))]
     extract_features(
-        [FeatureJob(n, p, camera.size, False) for n, p in zip(names, paths, strict=True)],
+        [FeatureJob(n, p, cameras.of(i).size, False)
+         for i, (n, p) in enumerate(zip(names, paths, strict=True))],
         folder,
         max_features=max_features,
         options=jobs,
-    )
+    )  # fmt: skip
     images = [
         MappingImage(
-            image_id=i + 1, name=n, camera="photo", features=partial(load_features, folder, n)
+            image_id=i + 1,
+            name=n,
+            camera=f"photo {cameras.groups[i]}",
+            features=partial(load_features, folder, n),
         )
         for i, n in enumerate(names)
     ]
@@ -108,7 +113,8 @@ def _matches(
     matching = work / "matching"
     shutil.rmtree(matching, ignore_errors=True)
     matching.mkdir(parents=True)
-    database, _ = match_keyframes(images, pairs, {"photo": camera}, matching, options=PoseOptions())
+    named = {f"photo {n}": camera for n, camera in enumerate(cameras.cameras)}
+    database, _ = match_keyframes(images, pairs, named, matching, options=PoseOptions())
     found = [(a - 1, b - 1, m) for a, b, m in verified_matches(database)]
     shutil.rmtree(matching, ignore_errors=True)
     return {i: load_features(folder, n).uv for i, n in enumerate(names)}, found

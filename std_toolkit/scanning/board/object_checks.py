@@ -11,6 +11,7 @@ from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.scanning.board.board_photos import PhotoCameras
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
@@ -51,7 +52,7 @@ def check_rest(
     pairs: Sequence[tuple[int, int, Any]],
     uv: Mapping[int, Array],
     poses: Mapping[int, SE3],
-    camera: Camera,
+    cameras: PhotoCameras,
     names: Sequence[str],
     *,
     reach: tuple[Array, Array],
@@ -66,7 +67,7 @@ def check_rest(
         pairs: photo, photo, and (M, 2) indices of matched features.
         uv: pixels (N, 2) of the features by photo.
         poses: T_world_cam by photo, with the table at z = 0.
-        camera: intrinsics.
+        cameras: intrinsics.
         names: file names of the photos.
         reach: corners (x, y) of the board, metres; the object stands within them.
 
@@ -79,8 +80,8 @@ def check_rest(
         if i not in poses or j not in poses or _angle(poses[i], poses[j]) > limits.similar_deg:
             continue
         ends.append((min(i, j), max(i, j)))
-        points.append(_shared(uv[i][matches[:, 0]], uv[j][matches[:, 1]], poses[i], poses[j],
-                              camera, reach))  # fmt: skip
+        seen = uv[i][matches[:, 0]], uv[j][matches[:, 1]]
+        points.append(_shared(*seen, poses[i], poses[j], (cameras.of(i), cameras.of(j)), reach))
     if not ends:
         return
     first, last = np.array(ends).T
@@ -159,13 +160,15 @@ def _angle(a: SE3, b: SE3) -> float:
 
 
 def _shared(
-    a: Array, b: Array, pose_a: SE3, pose_b: SE3, camera: Camera, reach: tuple[Array, Array]
-) -> Array:
+    a: Array, b: Array, pose_a: SE3, pose_b: SE3, cameras: tuple[Camera, Camera],
+    reach: tuple[Array, Array],
+) -> Array:  # fmt: skip
     """Points (N, 3) above the board at which matches (M, 2), (M, 2) meet."""
     limits = RestSettings.current()
     if len(a) == 0:
         return np.zeros((0, 3))
-    rays = [np.asarray(pose.R @ camera.unproject(p).T).T for pose, p in ((pose_a, a), (pose_b, b))]
+    seen = (pose_a, a, cameras[0]), (pose_b, b, cameras[1])
+    rays = [np.asarray(pose.R @ camera.unproject(p).T).T for pose, p, camera in seen]
     d, e = (r / np.linalg.norm(r, axis=1, keepdims=True) for r in rays)
     base = pose_b.t - pose_a.t
     cosine = (d * e).sum(axis=1)
@@ -176,7 +179,7 @@ def _shared(
     with np.errstate(invalid="ignore"):
         good = (along > 0) & (point[:, 2] > limits.above_m)
         good &= ((point[:, :2] > low) & (point[:, :2] < high)).all(axis=1)
-    for pose, p in ((pose_a, a), (pose_b, b)):
+    for pose, p, camera in seen:
         off = np.linalg.norm(camera.project(pose.inverse() @ point) - p, axis=1)
         good &= np.nan_to_num(off, nan=np.inf) < limits.largest_error_px
     return np.asarray(point[good])

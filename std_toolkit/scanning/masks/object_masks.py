@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import read_mask, write_color
 from std_toolkit.jobs.artefact import Artefact
+from std_toolkit.poses.board_scale import Board
 from std_toolkit.scanning.board.object_checks import check_opaque
+from std_toolkit.scanning.board.tags_through import check_tags
 from std_toolkit.scanning.masks import candidates as standing
 from std_toolkit.scanning.masks.masks import dilated, segment_by_border
 from std_toolkit.scanning.masks.proven_masks import segment_on_table
@@ -71,6 +73,10 @@ def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: 
 def _on_table(options: ScanOptions, posed: PosedPhotos, threads: int) -> list[View]:
     views = posed.views
     pick, box = _pick(options, posed), _box(options, posed)
+    if options.board is not None and not options.revolve:
+        board = Board.read(options.board)
+        if board.charuco is None:
+            check_tags(views, posed.tags(), board.dictionary, threads=threads)
     found, compared = standing.find_candidates(views, posed.corners, threads=threads)
     clusters = standing.cluster_points(posed.points, views, pick=pick, box=box)
     if clusters is not None:
@@ -116,21 +122,24 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
             found[view.name] = mask > 0
     if not found:
         raise ToolkitError(
-            "no mask is named as a photo", path=folder, hint=f"such as {posed.views[0].name}.png"
-        )
+            "no mask is named as a photo", path=folder, field="--masks",
+            hint=f"such as {Path(posed.views[0].name).stem}.png",
+        )  # fmt: skip
     return found
 
 
 def _numbers(text: str, option: str, count: int, posed: PosedPhotos) -> tuple[int, list[float]]:
     name, _, rest = text.rpartition(":")
     try:
-        values = [float(x) * posed.photos.factor for x in rest.split(",")]
+        values = [float(x) for x in rest.split(",")]
     except ValueError:
         values = []
     if not name or len(values) != count:
         expected = "PHOTO:x,y" if count == 2 else "PHOTO:x0,y0,x1,y1"
         raise ToolkitError(f"expected {expected}", field=option, value=text)
-    wanted = posed.photos.paths[posed.photos.index_of(name, option)].name
+    index = posed.photos.index_of(name, option)
+    wanted = posed.photos.paths[index].name
+    values = [v * posed.photos.factor_of(index) for v in values]
     for i, view in enumerate(posed.views):
         if view.name == wanted:
             return i, values

@@ -26,12 +26,15 @@ class Texture:
     Attributes:
         uv: (F, 3, 2) coordinates of the corners of the faces; v = 0 is the bottom of the image.
         image: (size, size, 3) RGB.
+        guessed: (size, size) texels that no photo shows; their colour is that of the nearest place
+            on the surface that one shows, or grey.
         seen: (F,) number of photos that show each face.
         gains: (V, 3) exposure of each photo relative to the texture.
     """
 
     uv: Array
     image: NDArray[np.uint8]
+    guessed: Mask
     seen: NDArray[np.int64]
     gains: Array
 
@@ -88,14 +91,71 @@ def bake_texture(
         w = w**_SHARPNESS
         total[turned] += color / gain * w[:, None]
         weight[turned] += w
-    image = np.full((size, size, 3), _UNSEEN_GREY, np.uint8)
     some = weight > 0
-    image[rows[some], columns[some]] = np.clip(
-        np.rint(total[some] / weight[some, None]), 0, 255
-    ).astype(np.uint8)
-    filled = np.zeros((size, size), bool)
-    filled[rows[some], columns[some]] = True
-    return Texture(uv, _spread(image, filled), seen, gains)
+    found = np.zeros((len(places), 3))
+    found[some] = total[some] / weight[some, None]
+    share = np.stack([1 - b - c, b, c], axis=1)
+    found[~some] = nearest_colors(vertices, faces, chosen, share, found, some)[~some]
+    image = np.full((size, size, 3), _UNSEEN_GREY, np.uint8)
+    image[rows, columns] = np.clip(np.rint(found), 0, 255).astype(np.uint8)
+    guessed = np.zeros((size, size), bool)
+    guessed[rows[~some], columns[~some]] = True
+    take = _nearest_texel(face >= 0)
+    if take is not None:
+        image, guessed = image[take[..., 0], take[..., 1]], guessed[take[..., 0], take[..., 1]]
+    return Texture(uv, image, guessed, seen, gains)
+
+
+def nearest_colors(
+    vertices: Array,
+    faces: NDArray[np.int64],
+    face: NDArray[np.int64],
+    share: Array,
+    colors: Array,
+    known: Mask,
+) -> Array:
+    """Colours (T, 3) that texels take from the nearest coloured place on the surface.
+
+    The way leads over edges of the mesh: through a thin wall, the other side is no neighbour.
+
+    Args:
+        vertices: (V, 3) metres.
+        faces: (F, 3).
+        face: (T,) face of each texel.
+        share: (T, 3) barycentric weights of its corners.
+        colors: (T, 3), used where known.
+        known: (T,) texels with a colour.
+
+    Returns:
+        Colours between those of the corners; grey on parts of the mesh without any colour.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    count = len(vertices)
+    corner = faces[face[known]].ravel()
+    amount = np.maximum(share[known].ravel(), 1e-6)
+    weight = np.bincount(corner, amount, minlength=count)
+    each = np.repeat(colors[known], 3, axis=0)
+    color = np.stack(
+        [np.bincount(corner, amount * each[:, k], minlength=count) for k in range(3)], axis=1
+    )
+    sources = np.flatnonzero(weight)
+    color[sources] /= weight[sources, None]
+    nearest = np.arange(count)
+    if len(sources):
+        ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        ends = np.unique(np.sort(ends, axis=1), axis=0)
+        length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
+        # Two vertices in one place: a length of zero would be no edge.
+        graph = coo_matrix((np.maximum(length, 1e-12), ends.T), shape=(count, count)).tocsr()
+        _, _, nearest = dijkstra(
+            graph, directed=False, indices=sources, min_only=True, return_predecessors=True
+        )
+    reached = nearest >= 0
+    reached[reached] = weight[nearest[reached]] > 0
+    color = np.where(reached[:, None], color[np.maximum(nearest, 0)], _UNSEEN_GREY)
+    return np.asarray((color[faces[face]] * share[..., None]).sum(axis=1))
 
 
 def unwrap(vertices: Array, faces: NDArray[np.int64], size: int, threads: int = 1) -> Array:
@@ -115,12 +175,26 @@ def unwrap(vertices: Array, faces: NDArray[np.int64], size: int, threads: int = 
 
 def vertex_colors(count: int, faces: NDArray[np.int64], texture: Texture) -> NDArray[np.uint8]:
     """RGB (count, 3) of the texture at every vertex."""
-    size = texture.image.shape[0]
-    column = np.clip((texture.uv[..., 0] * size).astype(np.int64), 0, size - 1)
-    row = np.clip(((1 - texture.uv[..., 1]) * size).astype(np.int64), 0, size - 1)
+    row, column = _corner_texels(texture)
     color = np.full((count, 3), 128, np.uint8)
     color[faces.ravel()] = texture.image[row, column].reshape(-1, 3)
     return color
+
+
+def vertex_guessed(count: int, faces: NDArray[np.int64], texture: Texture) -> Mask:
+    """(count,) vertices of which no face has a colour that a photo shows."""
+    row, column = _corner_texels(texture)
+    guessed = np.ones(count, bool)
+    guessed[faces.ravel()[~texture.guessed[row, column].ravel()]] = False
+    return guessed
+
+
+def _corner_texels(texture: Texture) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column (F, 3) of the texels at the corners of the faces."""
+    size = texture.image.shape[0]
+    column = np.clip((texture.uv[..., 0] * size).astype(np.int64), 0, size - 1)
+    row = np.clip(((1 - texture.uv[..., 1]) * size).astype(np.int64), 0, size - 1)
+    return row, column
 
 
 def exposures(
@@ -190,18 +264,20 @@ def _fill_faces(uv, face, weights) -> None:  # type: ignore[no-untyped-def]
                 weights[y, x, 1] = c
 
 
-def _spread(image: NDArray[np.uint8], filled: Mask) -> NDArray[np.uint8]:
-    """Empty texels take the colour of the nearest filled one."""
+def _nearest_texel(filled: Mask) -> NDArray[np.int64] | None:
+    """Row and column (size, size, 2) of the nearest filled texel; None without any.
+
+    Texels beside the charts of the faces repeat their rims, for lookups between texels.
+    """
     if not filled.any():
-        return image
+        return None
     _, label = cv2.distanceTransformWithLabels(
         (~filled).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     rows, columns = np.nonzero(filled)
     source = np.zeros((int(label.max()) + 1, 2), np.int64)
     source[label[rows, columns]] = np.stack([rows, columns], axis=1)
-    take = source[label]
-    return np.asarray(image[take[..., 0], take[..., 1]])
+    return source[label]
 
 
 def rendered(

@@ -1,5 +1,6 @@
 """The report of a scan: photos beside the re-rendered mesh, errors, coverage, scale."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,11 @@ from std_toolkit.html.table import text_table
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import write_document
 from std_toolkit.scanning.model.bake import rendered
-from std_toolkit.scanning.model.write_model import Scan
+from std_toolkit.scanning.model.write_model import Scan, guessed_name
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.photos.visibility import hull_depth
+from std_toolkit.scanning.surface.surface import is_closed
+from std_toolkit.settings import Settings, limit
 
 _SHOWN = 8
 _WIDTH = 420
@@ -43,8 +46,24 @@ def outline_overlap(view: View, caster: RayCaster) -> float:
     return float((drawn & view.shown).sum() / union) if union else 0.0
 
 
-def write_report(folder: Path, scan: Scan) -> Path:
-    """Write `report.html` and `scan.json`; returns the page."""
+@dataclass(frozen=True, kw_only=True)
+class ReportSettings(Settings):
+    """From when a mesh must not be used."""
+
+    least_overlap: float = limit(
+        0.75, source="right scans have 0.95; the advice doubts single photos below 0.9"
+    )
+    """smallest median, over the photos, of the overlap of the mesh's outline with the mask"""
+    least_seen: float = limit(0.2, source="one side of a box is a sixth of it")
+    """smallest share of the surface that a photo shows"""
+
+
+def write_report(folder: Path, scan: Scan) -> Scan:
+    """Write `report.html` and `scan.json` of a model whose files are written.
+
+    Returns:
+        The scan with all advice among its warnings, and why the mesh must not be used, if so.
+    """
     caster = RayCaster(scan.vertices, scan.faces)
     overlaps = [outline_overlap(v, caster) for v in scan.views]
     corners = scan.vertices[scan.faces]
@@ -64,7 +83,12 @@ def write_report(folder: Path, scan: Scan) -> Path:
         "colour residual": f"{np.median(residuals):.1f} grey values",
         "supported by depth": f"{100 * measured:.0f} % of the surface",
         "seen by a photo": f"{100 * seen:.0f} % of the surface",
+        "guessed texture": f"{100 * _guessed(scan, share):.0f} %, marked in "
+        f"{guessed_name(scan.name)} and by the property guessed of {scan.name}.ply",
     }
+    closed = written_closed(folder / f"{scan.name}.ply")
+    faults = _faults(closed, float(np.median(overlaps)), seen)
+    warnings = [*scan.warnings, *_advice(scan, share, overlaps)]
     document: dict[str, Any] = {
         "tool": f"std-toolkit {__version__}",
         "name": scan.name,
@@ -72,18 +96,24 @@ def write_report(folder: Path, scan: Scan) -> Path:
         "outline_overlaps": {
             v.name: round(o, 4) for v, o in zip(scan.views, overlaps, strict=True)
         },
-        "warnings": scan.warnings,
+        "usable": not faults,
+        "faults": faults,
+        "warnings": warnings,
         "seconds": {k: round(v, 1) for k, v in scan.seconds.items()},
     }
     write_document(folder / "scan.json", document)
-    advice = [Paragraph(w) for w in [*scan.warnings, *_advice(scan, share, overlaps)]]
+    advice = [Paragraph(w) for w in warnings]
     rows = [[v.name, f"{o:.3f}"] for v, o in zip(scan.views, overlaps, strict=True)]
     page = Page(
         kind="Scan",
         title=scan.name,
         footer=f"std-scan, std-toolkit {__version__}",
         facts=[Fact(k, str(v)) for k, v in facts.items()],
-        verdicts=[Verdict("the mesh is watertight", "closed", "pass")],
+        verdicts=[
+            Verdict("the mesh is watertight", "closed", "pass") if closed
+            else Verdict("the mesh is not watertight", "open", "fail"),
+            *(Verdict(f"must not be used: {fault}", "wrong", "fail") for fault in faults),
+        ],
         sections=[
             Section("advice", "What to photograph again", [Bullets(advice)]),
             Section(
@@ -111,9 +141,44 @@ def write_report(folder: Path, scan: Scan) -> Path:
             ),
         ],
     )  # fmt: skip
-    path = folder / "report.html"
-    write_bytes_atomic(path, page.html().encode())
-    return path
+    write_bytes_atomic(folder / "report.html", page.html().encode())
+    return replace(scan, warnings=warnings, faults=faults)
+
+
+def written_closed(path: Path) -> bool:
+    """Whether the mesh of a file is an oriented 2-manifold without borders.
+
+    Vertices that are less than the numbers of the file apart are one there.
+    """
+    import trimesh
+
+    mesh = trimesh.load_mesh(path, process=False)
+    return is_closed(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
+
+
+def _faults(closed: bool, overlap: float, seen: float) -> list[str]:
+    """Why a mesh must not be used."""
+    limits = ReportSettings.current()
+    found = []
+    if not closed:
+        found.append("the mesh is not watertight")
+    if overlap < limits.least_overlap:
+        found.append(
+            f"its outline overlaps with the masks by {overlap:.2f} in the median: it is not the "
+            "object that the photos show"
+        )
+    if seen < limits.least_seen:
+        found.append(f"photos show {100 * seen:.0f} % of its surface; the rest is a guess")
+    return found
+
+
+def _guessed(scan: Scan, share: NDArray[np.float64]) -> float:
+    """Part of the surface whose texture no photo shows, by the middle of its faces."""
+    size = len(scan.texture.guessed)
+    middle = scan.texture.uv.mean(axis=1)
+    column = np.clip((middle[:, 0] * size).astype(np.int64), 0, size - 1)
+    row = np.clip(((1 - middle[:, 1]) * size).astype(np.int64), 0, size - 1)
+    return float(share[scan.texture.guessed[row, column]].sum())
 
 
 def _advice(scan: Scan, share: NDArray[np.float64], overlaps: list[float]) -> list[str]:

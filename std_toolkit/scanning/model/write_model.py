@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from std_toolkit.arrays import Array
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.images import write_png
-from std_toolkit.scanning.model.bake import Texture, vertex_colors
+from std_toolkit.scanning.model.bake import Texture, vertex_colors, vertex_guessed
 from std_toolkit.scanning.photos.views import View
 
 SUFFIXES = ("obj", "mtl", "png", "glb", "ply")
@@ -32,6 +32,7 @@ class Scan:
         facts: name and value of what was measured.
         warnings: sentences on what to do better.
         seconds: time of each stage.
+        faults: why the mesh must not be used; empty for a good one.
     """
 
     name: str
@@ -43,17 +44,24 @@ class Scan:
     facts: dict[str, Any]
     warnings: list[str]
     seconds: dict[str, float] = field(default_factory=dict)
+    faults: Sequence[str] = ()
 
 
 def file_names(name: str) -> list[str]:
     """Names of all files of a scan of this name."""
-    return [*(f"{name}.{s}" for s in SUFFIXES), "symmetry.json", "report.html", "scan.json"]
+    model = [f"{name}.{s}" for s in SUFFIXES]
+    return [*model, guessed_name(name), "symmetry.json", "report.html", "scan.json"]
+
+
+def guessed_name(name: str) -> str:
+    """Name of the image of the texels that no photo shows."""
+    return f"{name}_guessed.png"
 
 
 def write_model(
     folder: Path, name: str, vertices: Array, faces: NDArray[np.int64], texture: Texture
 ) -> dict[str, Path]:
-    """Write `NAME.obj`, `NAME.mtl`, `NAME.png`, `NAME.glb` and `NAME.ply`.
+    """Write `NAME.obj`, `NAME.mtl`, `NAME.png`, `NAME_guessed.png`, `NAME.glb` and `NAME.ply`.
 
     Args:
         folder: receives the files.
@@ -68,6 +76,7 @@ def write_model(
     folder.mkdir(parents=True, exist_ok=True)
     paths = {s: folder / f"{name}.{s}" for s in SUFFIXES}
     write_png(paths["png"], texture.image)
+    write_png(folder / guessed_name(name), np.where(texture.guessed, 255, 0).astype(np.uint8))
     material = f"newmtl {name}\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd {paths['png'].name}\n"
     write_bytes_atomic(paths["mtl"], material.encode())
     write_bytes_atomic(paths["obj"], _obj(name, vertices, faces, texture))
@@ -113,10 +122,12 @@ def _glb(vertices: Array, faces: NDArray[np.int64], texture: Texture) -> bytes:
 
 
 def _ply(vertices: Array, faces: NDArray[np.int64], texture: Texture) -> bytes:
-    """PLY with vertex colours, closed as the mesh is."""
+    """PLY with vertex colours, closed as the mesh is; `guessed` is 1 where no photo shows them."""
     import trimesh
 
     color = vertex_colors(len(vertices), faces, texture)
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=color, process=False)
+    guessed = vertex_guessed(len(vertices), faces, texture)
+    mesh.vertex_attributes["guessed"] = guessed.astype(np.uint8)
     data: Any = mesh.export(file_type="ply")
     return bytes(data)

@@ -15,6 +15,12 @@ from std_toolkit.io.images import COLOR_SUFFIXES, image_size, read_color, write_
 from std_toolkit.log import logger
 from std_toolkit.options import KnownCameras
 from std_toolkit.poses.features import FrameMeasure, measure_image
+from std_toolkit.scanning.photos.photo_file import (
+    PHOTO_SUFFIXES,
+    PhotoHeader,
+    read_photo,
+    read_photo_header,
+)
 from std_toolkit.scanning.photos.video import PHOTOS, spread
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.scene import Frame, Scene
@@ -63,14 +69,17 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Photos:
-    """Photos of one size.
+    """Photos of one camera, or of several sizes and lenses.
 
     Attributes:
         paths: as given.
-        used: the files that are read: `paths`, or reduced copies.
-        size: (width, height) of `used`.
-        factor: size of `used` over that of `paths`.
+        used: the files that are read: `paths`, or copies that are upright and reduced.
+        size: (width, height) of `used`, of the first photo.
+        factor: size of `used` over that of `paths`, of the first photo.
         sensor: of an RGB-D scene.
+        groups: number of the camera of each photo: photos of one size, lens and orientation have
+            the same; empty if all have.
+        sizes, headers: of each photo; empty if all are as the first.
     """
 
     paths: tuple[Path, ...]
@@ -78,6 +87,26 @@ class Photos:
     size: tuple[int, int]
     factor: float
     sensor: Sensor | None = None
+    groups: tuple[int, ...] = ()
+    sizes: tuple[tuple[int, int], ...] = ()
+    headers: tuple[PhotoHeader, ...] = ()
+
+    def group_of(self, index: int) -> int:
+        """Number of the camera of a photo."""
+        return self.groups[index] if self.groups else 0
+
+    def size_of(self, index: int) -> tuple[int, int]:
+        """(width, height) of a photo of `used`."""
+        return self.sizes[index] if self.sizes else self.size
+
+    def factor_of(self, index: int) -> float:
+        """Size of a photo of `used` over that of `paths`."""
+        whole = self.whole_size(index)
+        return self.size_of(index)[0] / whole[0] if whole is not None else self.factor
+
+    def whole_size(self, index: int) -> tuple[int, int] | None:
+        """(width, height) of a photo of `paths`, upright."""
+        return self.headers[index].size if self.headers else None
 
     def index_of(self, name: str, option: str) -> int:
         """Index of the photo with a file name or stem.
@@ -93,28 +122,29 @@ class Photos:
         )
 
 
-def find_photos(folder: Path, work: Path, *, longest: int) -> Photos:
-    """List the photos of a folder and reduce large ones.
+def find_photos(folder: Path, work: Path, *, longest: int, stored: bool = False) -> Photos:
+    """List the photos of a folder, turn them upright, and reduce large ones.
 
     Args:
-        folder: folder of JPEG or PNG images.
-        work: receives reduced copies.
+        folder: folder of JPEG, PNG or HEIC images.
+        work: receives upright and reduced copies.
         longest: longer side of the images that are used, pixels.
+        stored: leave the pixels as they are stored; given intrinsics or poses belong to these.
 
     Raises:
-        ToolkitError: no folder, too few photos, or photos of several sizes.
+        ToolkitError: no folder, too few photos, or HEIC without its extra.
     """
     if not folder.is_dir():
         raise ToolkitError(
             "no such folder of photos, and no video", path=folder,
-            hint="give a folder of JPEG or PNG files, a video as .mp4, .mov, .avi or .mkv, or a "
-            "scene of std-curate import",
+            hint="give a folder of JPEG, PNG or HEIC files, a video as .mp4, .mov, .avi or .mkv, "
+            "or a scene of std-curate import",
         )  # fmt: skip
     paths = sorted(
         p for p in folder.iterdir()
-        if p.suffix.lower() in COLOR_SUFFIXES and p.is_file() and not p.name.startswith(".")
+        if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file() and not p.name.startswith(".")
     )  # fmt: skip
-    return photos_of(paths, folder, work, longest=longest)
+    return photos_of(paths, folder, work, longest=longest, stored=stored)
 
 
 def is_scene(path: Path) -> bool:
@@ -150,12 +180,15 @@ def scene_photos(root: Path, work: Path, *, longest: int) -> Photos:
             measures.append(measure)
         frames = [frames[i] for i in spread(measures, PHOTOS)]
         logger.info("%s: %d of %d frames are used", root.name, len(frames), len(scene.frames))
-    found = photos_of([scene.color_path(f) for f in frames], root, work, longest=longest)
+    paths = [scene.color_path(f) for f in frames]
+    found = photos_of(paths, root, work, longest=longest, stored=True)
     return replace(found, sensor=Sensor(scene, tuple(frames)))
 
 
-def photos_of(paths: Sequence[Path], folder: Path, work: Path, *, longest: int) -> Photos:
-    """Photos, large ones reduced; arguments and errors as of `find_photos`."""
+def photos_of(
+    paths: Sequence[Path], folder: Path, work: Path, *, longest: int, stored: bool = False
+) -> Photos:
+    """Photos, upright and large ones reduced; arguments and errors as of `find_photos`."""
     limits = PhotoSettings.current()
     if len(paths) < limits.fewest_photos:
         raise ToolkitError(
@@ -163,33 +196,44 @@ def photos_of(paths: Sequence[Path], folder: Path, work: Path, *, longest: int) 
             path=folder,
             hint="walk around the object and take 40 to 60 photos from two heights",
         )
+    headers = tuple(read_photo_header(p, stored=stored) for p in paths)
     if len(paths) < limits.usual_photos:
         logger.warning(
             "%d photos: surfaces that only one or two of them show will be guessed; 40 to 60 are "
             "usual", len(paths),
         )  # fmt: skip
-    sizes = {image_size(p) for p in paths}
-    if len(sizes) > 1:
-        raise ToolkitError(
-            "the photos have different sizes",
-            path=folder,
-            value=", ".join(f"{w}x{h}" for w, h in sorted(sizes)),
-            hint="use one camera, without zoom, and do not turn it between landscape and portrait",
-        )
-    size = sizes.pop()
-    factor = longest / max(size)
-    if factor >= 1:
-        return Photos(tuple(paths), tuple(paths), size, 1.0)
-    small = (round(size[0] * factor), round(size[1] * factor))
-    used = []
-    for path in paths:
-        # Named by content: times of files follow the clock, and copies keep the older ones.
-        target = work / "photos" / f"{path.stem}-{small[0]}-{digest_file(path)[:12]}.png"
-        if not target.is_file():
-            image = cv2.resize(read_color(path), small, interpolation=cv2.INTER_AREA)
-            write_color(target, np.asarray(image, np.uint8))
-        used.append(target)
-    return Photos(tuple(paths), tuple(used), small, small[0] / size[0])
+    kinds = list(dict.fromkeys((h.size, h.lens, h.orientation) for h in headers))
+    groups = tuple(kinds.index((h.size, h.lens, h.orientation)) for h in headers)
+    if len(kinds) > 1:
+        logger.info(
+            "photos of %d cameras: %s", len(kinds),
+            "; ".join(f"{groups.count(g)} of {w}x{h}" + (f", {lens}" if lens else "")
+                      for g, ((w, h), lens, _) in enumerate(kinds)),
+        )  # fmt: skip
+    made = [_used(p, h, work, longest) for p, h in zip(paths, headers, strict=True)]
+    used, sizes = tuple(u for u, _ in made), tuple(s for _, s in made)
+    factor = sizes[0][0] / headers[0].size[0]
+    return Photos(tuple(paths), used, sizes[0], factor, groups=groups, sizes=sizes, headers=headers)
+
+
+def _used(
+    path: Path, header: PhotoHeader, work: Path, longest: int
+) -> tuple[Path, tuple[int, int]]:
+    """The file that is read for a photo, and its (width, height): itself, or a copy."""
+    size, factor = header.size, min(1.0, longest / max(header.size))
+    if factor < 1:
+        size = (round(size[0] * factor), round(size[1] * factor))
+    elif header.orientation == 1 and path.suffix.lower() in COLOR_SUFFIXES:
+        return path, size
+    # Named by content: times of files follow the clock, and copies keep the older ones.
+    stem = f"{path.stem}-{size[0]}-{header.orientation}-{digest_file(path)[:12]}"
+    target = work / "photos" / f"{stem}.png"
+    if not target.is_file():
+        image = read_photo(path, header.orientation)
+        if factor < 1:
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        write_color(target, image)
+    return target, size
 
 
 def blurred_photos(paths: Sequence[Path]) -> list[int]:
@@ -238,25 +282,26 @@ def known_views(photos: Photos, options: KnownCameras, intrinsics: str | None) -
         lens = known.filed.lenses[known.row[i]] if len(known.filed.lenses) else None
         found = given if given is not None else lens
         if found is not None:
-            whole = image_size(photos.paths[i])
+            whole = photos.whole_size(i) or image_size(photos.paths[i])
             camera = replace(found, size=None).camera(
                 whole, path=str(options.cameras), off_centre=True
             )
         elif photos.sensor is not None:
-            camera = photos.sensor.camera(photos.size)
+            camera = photos.sensor.camera(photos.size_of(i))
         else:
             raise ToolkitError(
                 "the file has no intrinsics", path=options.cameras, hint="give --intrinsics"
             )
-        views.append(make_view(photos, i, camera.resized(*photos.size), T))
+        views.append(make_view(photos, i, camera.resized(*photos.size_of(i)), T))
     return views
 
 
 def make_view(photos: Photos, index: int, camera: Camera, T_world_cam: SE3) -> View:
     """One photo, undistorted."""
-    image = read_color(photos.used[index], size=photos.size)
+    size = photos.size_of(index)
+    image = read_color(photos.used[index], size=size)
     flat = undistort_image(image, camera) if camera.is_distorted else image
-    sensor = None if photos.sensor is None else photos.sensor.depth(index, photos.size)
+    sensor = None if photos.sensor is None else photos.sensor.depth(index, size)
     if sensor is not None and camera.is_distorted:
         nearest = undistort_image(sensor, camera, interpolation=cv2.INTER_NEAREST)
         sensor = np.asarray(nearest, np.float32)

@@ -11,7 +11,7 @@ import pytest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.poses.board_scale import Board, detect_board
-from std_toolkit.poses.board_sheet import PAPER_MM, Paper, make_board_sheet, write_board_pdf
+from std_toolkit.poses.board_sheet import PAPER_MM, Middle, Paper, make_board_sheet, write_board_pdf
 
 PX_PER_MM = 5
 MM_PER_PT = 25.4 / 72
@@ -32,7 +32,7 @@ def drawn(pdf: bytes) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("paper", ["a4", "a3"])
+@pytest.mark.parametrize("paper", ["a4", "a3", "letter"])
 def test_tags_are_printed_where_the_description_says(tmp_path: Path, paper: Paper) -> None:
     pdf, description = write_board_pdf(tmp_path / "board.pdf", paper=paper)
     image = drawn(pdf.read_bytes())
@@ -66,8 +66,31 @@ def test_middle_is_free_and_two_boards_differ() -> None:
 
 def test_bad_options(tmp_path: Path) -> None:
     with pytest.raises(ToolkitError, match="unknown paper"):
-        make_board_sheet("letter")  # type: ignore[arg-type]
+        make_board_sheet("a0")  # type: ignore[arg-type]
     with pytest.raises(ToolkitError, match="587 tags"):
         make_board_sheet(first_id=580)
     with pytest.raises(ToolkitError, match=r"must end in \.pdf"):
         write_board_pdf(tmp_path / "board.png")
+
+
+def test_ids_tell_the_sheets_apart() -> None:
+    sheets = [make_board_sheet(paper) for paper in PAPER_MM]
+    ids = [i for sheet in sheets for i, _, _ in sheet.places]
+    assert len(ids) == len(set(ids))
+    assert make_board_sheet("letter").paper_mm == (215.9, 279.4)
+
+
+@pytest.mark.parametrize("middle", ["grey", "pattern"])
+def test_a_printed_middle_leaves_the_tags_their_white_gap(tmp_path: Path, middle: Middle) -> None:
+    sheet = make_board_sheet("a4", middle=middle)
+    cells = np.array(sheet.middle_cells())
+    assert cells[:, 2] @ cells[:, 3] > 0.25 * np.prod(sheet.paper_mm)
+    assert (cells[:, 4] > 0.3).all() and (cells[:, 4] < 0.7).all()
+    gap = 1.4 * sheet.tag_mm / 8
+    for _, x, y in sheet.places:
+        apart = np.maximum(cells[:, :2] - [x, y], [x, y] - cells[:, :2] - cells[:, 2:4])
+        assert (apart.max(axis=1) >= sheet.tag_mm / 2 + gap).all()
+    pdf, description = write_board_pdf(tmp_path / "b.pdf", middle=middle)
+    assert Board.read(description).tags == Board.read(write_board_pdf(tmp_path / "w.pdf")[1]).tags
+    assert b"lay flat, object here" in pdf.read_bytes()
+    assert b"AprilTag 36h11, ids 0 to 23" in pdf.read_bytes()

@@ -9,6 +9,7 @@ pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, so3_exp
+from std_toolkit.scanning.board.board_photos import PhotoCameras
 from std_toolkit.scanning.board.object_checks import check_opaque, check_rest
 from std_toolkit.scanning.photos.views import View
 from tests.std_toolkit.scanning.ball import look_at
@@ -40,7 +41,7 @@ def check(moves: dict[int, SE3]) -> None:
     same = np.stack([np.arange(40)] * 2, axis=1)
     pairs = [(i, (i + k) % COUNT, same) for i in poses for k in (1, 2)]
     names = [f"{i:02d}.jpg" for i in poses]
-    check_rest(pairs, uv, poses, CAMERA, names, reach=REACH)
+    check_rest(pairs, uv, poses, PhotoCameras.one(CAMERA, len(poses)), names, reach=REACH)
 
 
 def test_an_object_at_rest_passes() -> None:
@@ -60,7 +61,14 @@ def test_photos_from_two_heights_that_share_nothing_are_no_move() -> None:
         uv[i] = CAMERA.project(poses[i].inverse() @ points)
         pairs.append((i, i // 12 * 12 + (i + 1) % 12, same))
         pairs.append((i % 12, i % 12 + 12, none if i % 12 > 6 else same))
-    check_rest(pairs, uv, poses, CAMERA, [f"{i}.jpg" for i in poses], reach=REACH)
+    check_rest(
+        pairs,
+        uv,
+        poses,
+        PhotoCameras.one(CAMERA, len(poses)),
+        [f"{i}.jpg" for i in poses],
+        reach=REACH,
+    )
 
 
 @pytest.mark.parametrize("moved", [False, True])
@@ -81,10 +89,10 @@ def test_rounds_that_share_nothing_are_a_move_only_if_it_stands_elsewhere(moved:
         pairs.append((i % 24, i % 24 + 24, none))
     names = [f"{i}.jpg" for i in poses]
     if not moved:
-        check_rest(pairs, uv, poses, CAMERA, names, reach=REACH)
+        check_rest(pairs, uv, poses, PhotoCameras.one(CAMERA, len(poses)), names, reach=REACH)
         return
     with pytest.raises(ToolkitError, match=r"moved on the board between 23\.jpg and 24\.jpg"):
-        check_rest(pairs, uv, poses, CAMERA, names, reach=REACH)
+        check_rest(pairs, uv, poses, PhotoCameras.one(CAMERA, len(poses)), names, reach=REACH)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.5])

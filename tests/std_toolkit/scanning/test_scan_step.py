@@ -22,7 +22,12 @@ from std_toolkit.options import KnownCameras
 from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.scanning import scan_step
 from std_toolkit.scanning.board.board_adjustment import adjust, build_model
-from std_toolkit.scanning.board.board_photos import board_pose, calibrate, check_boards
+from std_toolkit.scanning.board.board_photos import (
+    PhotoCameras,
+    board_pose,
+    calibrate,
+    check_boards,
+)
 from std_toolkit.scanning.masks import object_masks
 from std_toolkit.scanning.options import MODEL_FOLDER, ScanOptions
 from std_toolkit.scanning.photos.photos import blurred_photos
@@ -151,9 +156,9 @@ def test_features_do_not_change_what_corners_say(tmp_path: Path) -> None:
     pairs = [(a, b, same) for a in poses for b in poses if a < b]
     paths = [tmp_path / f"{k}.jpg" for k in poses]
     start = Camera(640, 480, 603, 602, 320.0, 238.0, (-0.08, 0.0, 1e-3, 0.0))
-    done = adjust(build_model(paths, poses, found, uv, pairs, start), found)
-    assert done.camera.fx == done.camera.fy == pytest.approx(600, abs=2.0)
-    assert done.camera.distortion[2:] == (0.0, 0.0)
+    done = adjust(build_model(paths, poses, found, uv, pairs, PhotoCameras.one(start, 8)), found)
+    assert done.cameras[0].fx == done.cameras[0].fy == pytest.approx(600, abs=2.0)
+    assert done.cameras[0].distortion[2:] == (0.0, 0.0)
     off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
     assert max(off) < 2e-3
     assert len(done.points) > 10
@@ -185,10 +190,10 @@ def test_corners_seen_through_glass_do_not_move_the_cameras(tmp_path: Path, feat
     pairs = [(a, b, same) for a in poses for b in poses if a < b] if features else []
     paths = [tmp_path / f"{k}.jpg" for k in poses]
     start = {k: board_pose(found[k], camera)[0].inverse() for k in poses}  # type: ignore[index]
-    done = adjust(build_model(paths, start, found, uv, pairs, camera), found)
+    done = adjust(build_model(paths, start, found, uv, pairs, PhotoCameras.one(camera, 10)), found)
     off = [np.linalg.norm(done.poses[k].t - T.t) for k, T in poses.items()]
     assert max(off) < 4e-4
-    assert done.camera.fx == pytest.approx(600, abs=0.6)
+    assert done.cameras[0].fx == pytest.approx(600, abs=0.6)
     assert done.corner_rms_px == pytest.approx(0.08 * np.sqrt(2), rel=0.15)
 
 

@@ -133,7 +133,8 @@ def test_the_files_hold_the_same_mesh_and_texture(tmp_path: Path) -> None:
         uv[f] = [[x + 0.05, y + 0.05], [x + 0.45, y + 0.05], [x + 0.05, y + 0.45]]
     image = np.zeros((64, 64, 3), np.uint8)
     image[:32, :32], image[:32, 32:], image[32:, :32] = (250, 0, 0), (0, 250, 0), (0, 0, 250)
-    texture = Texture(uv, image, np.ones(4, np.int64), np.ones((1, 3)))
+    guessed = np.zeros((64, 64), bool)
+    texture = Texture(uv, image, guessed, np.ones(4, np.int64), np.ones((1, 3)))
     paths = write_model(tmp_path, "tetra", vertices, faces, texture)
     for suffix in ("obj", "glb", "ply"):
         mesh = load_mesh(paths[suffix])
