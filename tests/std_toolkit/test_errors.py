@@ -31,6 +31,13 @@ def test_escape_codes_in_names_do_not_reach_the_terminal() -> None:
     assert str(ToolkitError("gone", path="\x1b[2Ja\nb")) == "\\x1b[2Ja b: gone"
 
 
+@pytest.mark.parametrize("part", ["problem", "path", "field", "hint"])
+def test_a_line_stays_readable_whatever_a_file_says(part: str) -> None:
+    parts = {"problem": "no such key", "field": "k", part: "k" * 100_000}
+    problem = parts.pop("problem")
+    assert len(str(ToolkitError(problem, **parts))) < 5000
+
+
 def test_long_values_are_cut_and_numbers_of_numpy_are_plain() -> None:
     assert len(str(ToolkitError("wrong", value="x" * 10_000))) < 150
     assert str(ToolkitError("wrong", value=np.float64(0.5))) == "wrong (got 0.5)"

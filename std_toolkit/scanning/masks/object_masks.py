@@ -116,7 +116,9 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
             found[view.name] = mask > 0
     if not found:
         raise ToolkitError(
-            "no mask is named as a photo", path=folder, hint=f"such as {posed.views[0].name}.png"
+            "no mask is named as a photo",
+            path=folder,
+            hint=f"such as {Path(posed.views[0].name).stem}.png",
         )
     return found
 
@@ -127,9 +129,11 @@ def _numbers(text: str, option: str, count: int, posed: PosedPhotos) -> tuple[in
         values = [float(x) * posed.photos.factor for x in rest.split(",")]
     except ValueError:
         values = []
-    if not name or len(values) != count:
+    if not name or len(values) != count or not np.isfinite(values).all():
         expected = "PHOTO:x,y" if count == 2 else "PHOTO:x0,y0,x1,y1"
-        raise ToolkitError(f"expected {expected}", field=option, value=text)
+        raise ToolkitError(
+            f"expected {expected}", field=option, value=text, hint="numbers of pixels"
+        )
     wanted = posed.photos.paths[posed.photos.index_of(name, option)].name
     for i, view in enumerate(posed.views):
         if view.name == wanted:

@@ -71,3 +71,15 @@ def test_bad_options(tmp_path: Path) -> None:
         make_board_sheet(first_id=580)
     with pytest.raises(ToolkitError, match=r"must end in \.pdf"):
         write_board_pdf(tmp_path / "board.png")
+
+
+def test_a_file_of_the_user_beside_the_pdf_is_not_replaced(tmp_path: Path) -> None:
+    mine = tmp_path / "b.json"
+    mine.write_text('{"mine": 1}')
+    with pytest.raises(ToolkitError, match=r"b\.json: --out: is no description of a board"):
+        write_board_pdf(tmp_path / "b.pdf")
+    assert mine.read_text() == '{"mine": 1}' and not (tmp_path / "b.pdf").exists()
+    mine.unlink()
+    write_board_pdf(tmp_path / "b.pdf")
+    write_board_pdf(tmp_path / "b.pdf", first_id=24)
+    assert Board.read(mine).tags[0][0] == 24
