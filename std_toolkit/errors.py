@@ -191,8 +191,6 @@ def check_options(options: Any) -> None:
         if dataclasses.is_dataclass(value):
             check_options(value)
         values = value if isinstance(value, tuple) else () if value is None else (value,)
-        if any(isinstance(v, float) and not math.isfinite(v) for v in values):
-            raise ToolkitError("must be finite", field=name, value=value)
         for part in _parts(hint):
             if get_origin(part) is Literal and not all(v in get_args(part) for v in values):
                 problem = f"expected one of {', '.join(map(str, get_args(part)))}"
@@ -201,6 +199,8 @@ def check_options(options: Any) -> None:
                 bound = getattr(part, bound_name, None)
                 if bound is not None and not all(holds(v, bound) for v in values):
                     raise ToolkitError(f"must be {words} {bound}", field=name, value=value)
+        if any(isinstance(v, float) and not math.isfinite(v) for v in values):
+            raise ToolkitError("must be finite", field=name, value=value)
 
 
 class CheckedOptions:

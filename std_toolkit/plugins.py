@@ -35,7 +35,7 @@ _TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
 _FALSITIES = {"false": False, "no": False, "off": False, "0": False}
 
 
-_ALLOW = "if you trust it, run it with --allow-code and without --plan"
+_ALLOW = "if you trust it, give --allow-code, and no --plan"
 
 # What names plug-ins now, if that is no command line: of the process, so that its threads know it.
 _refused: str | None = None

@@ -129,11 +129,11 @@ class Machine:
 
     accelerator: Literal["auto", "cpu", "gpu"] = "auto"
     """processors that networks run on"""
-    devices: Count = 1
+    devices: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
     """processes on each machine"""
-    nodes: Count = 1
+    nodes: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
     """machines, started by torchrun or Ray"""
-    readers: int = 2
+    readers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 2
     """processes that read packed frames, for each device"""
     log_every: Count = 50
     """steps between rows of the log"""

@@ -49,9 +49,12 @@ class Equipment:
         """Load all of it; fast, so that invalid options are reported before any work begins.
 
         Raises:
-            ToolkitError: an unknown or unusable sensor, image size, matcher, source or pattern.
+            ToolkitError: an unknown or unusable sensor or one whose file names code, image size, matcher, source or pattern.
         """
         sensor = load_sensor(options.sensor)
+        if not options.allow_code:
+            with names_of(f"the sensor {options.sensor}"):
+                check_named(sensor.depth_model, field="depth_model")
         model = make_depth_model(
             sensor,
             DepthModelOptions(

@@ -104,6 +104,10 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """sensor: stereo; cut: exact depth without transparent and specular objects; exact: of all,
     with black infrared images, in half of the time: colour for training, which takes depth away"""
 
+    allow_code: bool = False
+    """import what the file of --sensor names as file.py:NAME or package.module:NAME, which runs
+    code"""
+
     def __post_init__(self) -> None:
         check_options(self)
         if self.min_objects > self.max_objects:

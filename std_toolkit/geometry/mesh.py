@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 
 OTHER_MESHES = (
-    f"one of {', '.join(MESH_SUFFIXES)}; export COLLADA (.dae), FBX, STEP or a .blend file as OBJ or "
-    "GLB, in Blender or MeshLab"
+    f"one of {', '.join(MESH_SUFFIXES)}; export COLLADA (.dae), FBX, STEP or .blend "
+    "files as OBJ or GLB, in Blender or MeshLab"
 )
 """Hint for a mesh in another format."""
 
