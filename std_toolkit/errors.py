@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -180,8 +181,8 @@ def check_known(
 def check_options(options: Any) -> None:
     """Check the fields of a dataclass or Struct against the ranges and choices in its annotations.
 
-    A range is a `msgspec.Meta`, choices are a `Literal`; None is not checked. Each value of a
-    tuple and each nested dataclass is checked, and that numbers are finite.
+    A range or pattern is a `msgspec.Meta`, choices are a `Literal`; None is not checked. Each value
+    of a tuple and each nested dataclass is checked, and that numbers are finite.
 
     Raises:
         ToolkitError: a value is outside its range or choices; names the first such field.
@@ -195,6 +196,9 @@ def check_options(options: Any) -> None:
             if get_origin(part) is Literal and not all(v in get_args(part) for v in values):
                 problem = f"expected one of {', '.join(map(str, get_args(part)))}"
                 raise ToolkitError(problem, field=name, value=value)
+            pattern = getattr(part, "pattern", None)
+            if isinstance(pattern, str) and not all(re.search(pattern, v) for v in values):
+                raise ToolkitError(f"must have the form {pattern}", field=name, value=value)
             for bound_name, (words, holds) in _BOUNDS.items():
                 bound = getattr(part, bound_name, None)
                 if bound is not None and not all(holds(v, bound) for v in values):

@@ -213,8 +213,8 @@ def format_of(request: ImportRequest) -> str:
 _CONVERT: dict[str, str] = {
     **dict.fromkeys(
         (".mkv", ".svo", ".svo2", ".oni"),
-        "write it as a rosbag2, or as folders of colour and of aligned depth (16-bit PNG), with the "
-        "camera's own tools (Azure Kinect: Open3D's azure_kinect_mkv_reader.py), and import these",
+        "write it as a rosbag2, or as folders of colour and of aligned depth (16-bit PNG), with "
+        "the camera's own tools (Azure Kinect: Open3D's azure_kinect_mkv_reader.py); import these",
     ),
     **dict.fromkeys(
         (".mp4", ".mov", ".avi", ".webm", ".m4v"),
