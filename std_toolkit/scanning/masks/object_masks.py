@@ -23,6 +23,9 @@ from std_toolkit.scanning.photos.views import View
 # Width of the rim of a mask that may lack a part of the object.
 _RIM_PX = 3
 
+# A mask this many times smaller than its photo has steps of as many pixels along the outline.
+_SMALLEST = 8
+
 
 def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: int) -> list[View]:
     """Views with the mask of the object; views that do not show it are left out.
@@ -110,6 +113,12 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
                 raise ToolkitError(
                     f"the mask has another shape than its photo, which is {w}x{h}", path=path,
                     value=f"{mask.shape[1]}x{mask.shape[0]}", hint="is it of another photo?",
+                )  # fmt: skip
+            if w > _SMALLEST * mask.shape[1]:
+                raise ToolkitError(
+                    f"the mask is more than {_SMALLEST} times smaller than its photo, which is "
+                    f"{w}x{h}", path=path, value=f"{mask.shape[1]}x{mask.shape[0]}",
+                    hint="give masks of the size of the photos",
                 )  # fmt: skip
             if mask.shape != (h, w):
                 mask = cv2.resize(mask, (w, h), interpolation=cv2.INTER_NEAREST)  # type: ignore[assignment]
