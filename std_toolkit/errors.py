@@ -198,7 +198,8 @@ def check_options(options: Any) -> None:
                 raise ToolkitError(problem, field=name, value=value)
             pattern = getattr(part, "pattern", None)
             if isinstance(pattern, str) and not all(re.search(pattern, v) for v in values):
-                raise ToolkitError(f"must have the form {pattern}", field=name, value=value)
+                form = getattr(part, "description", None) or pattern
+                raise ToolkitError(f"must have the form {form}", field=name, value=value)
             for bound_name, (words, holds) in _BOUNDS.items():
                 bound = getattr(part, bound_name, None)
                 if bound is not None and not all(holds(v, bound) for v in values):

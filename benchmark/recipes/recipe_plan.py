@@ -29,6 +29,7 @@ from benchmark.recipes.recipe import (
     load_recipe,
 )
 from benchmark.recipes.targets import Target, find_targets
+from benchmark.training.options import PackOptions
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError, check_known
 
@@ -161,11 +162,11 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     scale = get_scale(config.scale)
     if recipe.table:
         published_table(recipe.table)  # fail on a wrong name before any work
-    for name in recipe.protocols:
-        get_protocol(name)  # likewise
+    for protocol in recipe.protocols:
+        get_protocol(protocol)  # likewise
     if recipe.poses:
-        for name in recipe.pose_protocols:
-            get_pose_protocol(name)
+        for protocol in recipe.pose_protocols:
+            get_pose_protocol(protocol)
     for variant in config.only:
         problem = "the recipe has no such variant"
         check_known(variant, recipe.variants, problem, field="--only", told="it has")
@@ -259,6 +260,7 @@ def _entry(
         trainable = get_trainable(variant.method)
         settings = trainable.settings_of(scale.preset, {**how.settings, **variant.settings})
         size = tuple(trainable.config(scale.preset, settings).input_size)
+        PackOptions(size=size)  # type: ignore[arg-type] # fails on a size that cannot be packed
     except ToolkitError as error:
         return replace(planned, problem=f"cannot be trained here: {error}")
     packs = [

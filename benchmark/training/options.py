@@ -21,7 +21,10 @@ Pixels = Annotated[int, msgspec.Meta(ge=1, le=16_384)]
 Scenes = Annotated[int, msgspec.Meta(ge=1, le=29_999)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Size = Annotated[str, msgspec.Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}$")]
+Size = Annotated[
+    str,
+    msgspec.Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}$", description="WIDTHxHEIGHT, as 224x126"),
+]
 Precision = Literal["fp32", "bf16"]
 BatchNormStatistics = Literal["running", "recomputed"]
 DepthKind = Literal["float32", "float16"]

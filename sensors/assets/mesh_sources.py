@@ -119,7 +119,7 @@ class FolderSource:
             raise ToolkitError(
                 f"no mesh here for the split {options.split!r}{others}",
                 path=self._root,
-                hint="--split test takes one in five, by their paths"
+                hint="one mesh in five is for tests, by its path; add meshes, or take that split"
                 if self._rows
                 else f"expected <category>/*{MESH_SUFFIXES[0]} or a {DOCUMENT}",
             )
