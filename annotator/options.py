@@ -106,7 +106,7 @@ class CompareCommand:
     options: CompareOptions = field(default_factory=CompareOptions)
     out: Path | None = field(default=None, metadata={"writes": Writes("files")})
     """folder for agreement.csv, frames.csv, agreement.json and an image of every disagreement"""
-    csv: Path | None = field(default=None, metadata={"writes": Writes("file")})
+    csv: Path | None = field(default=None, metadata={"writes": Writes("file", suffix=".csv")})
     """file for the table of objects"""
     json: bool = False
     """print JSON"""

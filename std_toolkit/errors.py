@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,10 @@ _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
 }
 
 
+# Characters that an error shows of each part. A path has at most 4096 bytes; a key or a library's
+# message that repeats its input can have any length and would fill the terminal.
+_LONGEST_PATH, _LONGEST_FIELD, _LONGEST_PROBLEM, _LONGEST_VALUE = 4096, 200, 2000, 120
+
 _ARGUMENTS = ("problem", "path", "field", "value", "hint")
 
 
@@ -25,7 +31,7 @@ class ToolkitError(Exception):
     Args:
         problem: what is wrong, as a sentence without the location.
         path: the file or folder concerned.
-        field: the field inside the file, such as `objects[2].material`.
+        field: the field inside the file, such as `objects[2].material`; long names are cut.
         value: the invalid value; long values are cut.
         hint: how to fix it.
     """
@@ -47,13 +53,13 @@ class ToolkitError(Exception):
         super().__init__(problem, self.path, field, value, hint)
 
     def __str__(self) -> str:
-        where = [part for part in (self.path, self.field) if part]
-        text = f"{': '.join(where)}: {self.problem}" if where else self.problem
+        where = [_cut(self.path, _LONGEST_PATH)] if self.path else []
+        where += [_cut(self.field, _LONGEST_FIELD)] if self.field else []
+        text = ": ".join([*where, _cut(self.problem, _LONGEST_PROBLEM)])
         if self.value is not None:
-            shown = repr(_plain(self.value))
-            text += f" (got {shown if len(shown) <= 120 else shown[:117] + '...'})"
+            text += f" (got {_cut(repr(_plain(self.value)), _LONGEST_VALUE)})"
         if self.hint:
-            text += f"; {self.hint}"
+            text += f"; {_cut(self.hint, _LONGEST_PROBLEM)}"
         # One line of printable text: control characters in a library's message or a file name
         # could rewrite the terminal.
         text = " ".join(text.split())
@@ -176,8 +182,8 @@ def check_known(
 def check_options(options: Any) -> None:
     """Check the fields of a dataclass or Struct against the ranges and choices in its annotations.
 
-    A range is a `msgspec.Meta`, choices are a `Literal`; None is not checked. Each value of a
-    tuple and each nested dataclass is checked.
+    A range or pattern is a `msgspec.Meta`, choices are a `Literal`; None is not checked. Each value
+    of a tuple and each nested dataclass is checked, and that numbers are finite.
 
     Raises:
         ToolkitError: a value is outside its range or choices; names the first such field.
@@ -191,10 +197,16 @@ def check_options(options: Any) -> None:
             if get_origin(part) is Literal and not all(v in get_args(part) for v in values):
                 problem = f"expected one of {', '.join(map(str, get_args(part)))}"
                 raise ToolkitError(problem, field=name, value=value)
+            pattern = getattr(part, "pattern", None)
+            if isinstance(pattern, str) and not all(re.search(pattern, v) for v in values):
+                form = getattr(part, "description", None) or pattern
+                raise ToolkitError(f"must have the form {form}", field=name, value=value)
             for bound_name, (words, holds) in _BOUNDS.items():
                 bound = getattr(part, bound_name, None)
                 if bound is not None and not all(holds(v, bound) for v in values):
                     raise ToolkitError(f"must be {words} {bound}", field=name, value=value)
+        if any(isinstance(v, float) and not math.isfinite(v) for v in values):
+            raise ToolkitError("must be finite", field=name, value=value)
 
 
 class CheckedOptions:
@@ -210,6 +222,10 @@ def _parts(hint: Any) -> Iterator[Any]:
     if get_origin(hint) is not Literal:
         for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
             yield from _parts(part)
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def _plain(value: Any) -> Any:

@@ -22,6 +22,8 @@ Unit = Literal["m", "cm", "mm"]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Whole = Annotated[int, msgspec.Meta(ge=0)]
+# Lightning takes 32 bits, and scenes and views count on from it.
+Seed = Annotated[int, msgspec.Meta(ge=0, le=2**31 - 1)]
 _REPEATED: dict[str, Any] = {"repeat": True}
 
 

@@ -14,7 +14,6 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import fields, replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -36,10 +35,10 @@ _TRUTHS = {"true": True, "yes": True, "on": True, "1": True}
 _FALSITIES = {"false": False, "no": False, "off": False, "0": False}
 
 
-_ALLOW = "if you trust it, run it with --allow-code and without --plan"
+_ALLOW = "if you trust it, give --allow-code, and no --plan"
 
-# What names plug-ins now, if that is no command line.
-_refused: ContextVar[str | None] = ContextVar("refused", default=None)
+# What names plug-ins now, if that is no command line: of the process, so that its threads know it.
+_refused: str | None = None
 
 
 @contextmanager
@@ -51,11 +50,36 @@ def names_of(document: str) -> Iterator[None]:
     Args:
         document: what it is, for the error.
     """
-    token = _refused.set(document)
+    before = naming_document()
+    take_names_of(document)
     try:
         yield
     finally:
-        _refused.reset(token)
+        take_names_of(before)
+
+
+def naming_document() -> str | None:
+    """The document of `names_of`; None if names come from the user. For `take_names_of`."""
+    return _refused
+
+
+def check_named(name: object, *, field: str | None = None) -> None:
+    """Check that a name in a document is none of code; see `names_of`.
+
+    Raises:
+        ToolkitError: it is `file.py:NAME` or `package.module:NAME`.
+    """
+    document = naming_document()
+    if document is not None and isinstance(name, str) and ":" in name:
+        raise ToolkitError(
+            f"{document} names code, which is not loaded", field=field, value=name, hint=_ALLOW
+        )
+
+
+def take_names_of(document: str | None) -> None:
+    """As `names_of`, until the next call: a worker process takes what its starter says."""
+    global _refused
+    _refused = document
 
 
 # Files and top-level packages of plug-ins that are loaded, by the names of their modules.
@@ -173,10 +197,7 @@ class Registry(Generic[T]):
                     _loaded_from[module] = module
                 return self._loaded(entry.load, entry.value)
         if ":" in name:
-            if (document := _refused.get()) is not None:
-                raise ToolkitError(
-                    f"{document} names code, which is not loaded", value=name, hint=_ALLOW
-                )
+            check_named(name)
             return self._import(name)
         raise ToolkitError(
             f"no plug-in with this name in {self.group}",

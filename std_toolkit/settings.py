@@ -159,9 +159,16 @@ def settings_of(tables: Mapping[str, Any], path: Path) -> tuple[Settings, ...]:
         path: of the file, for errors.
 
     Raises:
-        ToolkitError: a group or limit does not exist, or a value has another type than the default.
+        ToolkitError: a group or limit does not exist, a group is no table or given twice, or a
+            value has another type than the default.
     """
-    return tuple(_from_table(name, table, path) for name, table in _groups(tables))
+    found: dict[str, Settings] = {}
+    for name, table in _groups(tables):
+        one = _from_table(name, table, path)
+        if name in found:  # [a.b] and ["a.b"] are different keys of TOML
+            raise ToolkitError("the group is given twice", path=path, field=name, hint="join both")
+        found[name] = one
+    return tuple(found.values())
 
 
 def _groups(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
@@ -199,6 +206,12 @@ def _kind(group: str) -> type[Settings] | None:
 def _from_table(group: str, table: dict[str, Any], path: Path) -> Settings:
     kind = _kind(group)
     if kind is None:
+        key, value = next(iter(table.items()), ("", None))
+        inner = f"{group}.{key}" if group else key
+        if not isinstance(value, dict) and _kind(inner) is not None:
+            raise ToolkitError(
+                "expected a table", path=path, field=inner, value=value, hint=f"write [{inner}]"
+            )
         raise ToolkitError(
             "no group of settings has this name",
             path=path,

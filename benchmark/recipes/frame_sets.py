@@ -19,9 +19,10 @@ from benchmark.recipes.recipe import BASE_SETS, Recipe, Scale
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
-from std_toolkit.jobs.runner import die_with_parent
+from std_toolkit.jobs.runner import die_with_parent, inherit, inherited
 from std_toolkit.log import log_to_stderr, logger
-from std_toolkit.settings import Settings, in_force, use_only
+from std_toolkit.plugins import check_named
+from std_toolkit.settings import Settings
 
 if TYPE_CHECKING:
     from sensors.simulation.options import SimulationOptions
@@ -129,7 +130,7 @@ class FrameSet:
         # load torch.
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(
-            1, mp_context=context, initializer=_prepare, initargs=(in_force(),)
+            1, mp_context=context, initializer=_prepare, initargs=inherited()
         ) as pool:
             try:
                 failed = pool.submit(_simulate, self, jobs).result()
@@ -142,8 +143,8 @@ class FrameSet:
         return {f"scene {key}": error for key, error in failed.items()}
 
 
-def _prepare(limits: Sequence[Settings]) -> None:
-    use_only(limits)
+def _prepare(limits: Sequence[Settings], document: str | None) -> None:
+    inherit(limits, document)
     log_to_stderr(logging.INFO)
     # A killed recipe must not go on simulating beside the one that is started next.
     die_with_parent()
@@ -280,6 +281,8 @@ def _alike(name: str, recipe: Recipe, base: FrameSet, out: Path) -> FrameSet:
 
 
 def _convert(options: Mapping[str, Any], type_: Any, name: str) -> Any:
+    for field in ("assets", "matcher"):
+        check_named(options.get(field), field=f"sets.{name}.options.{field}")
     try:
         return msgspec.convert(dict(options), type_)
     except msgspec.ValidationError as error:

@@ -14,7 +14,7 @@ import msgspec
 from benchmark.training.options import Machine, Precision
 from std_toolkit.errors import ToolkitError, check_known, check_options
 from std_toolkit.jobs.door import Writes
-from std_toolkit.options import JobOptions
+from std_toolkit.options import JobOptions, Seed
 
 FOLDER = Path(__file__).with_name("experiments")
 
@@ -23,6 +23,9 @@ BASE_SETS = ("train", "test")
 
 # Depths of poses besides those of variants.
 POSE_DEPTHS = ("raw", "gt")
+
+# Variants, tests, ... of a recipe: each is compared with each other one on a page.
+_MOST = 200
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9.-]*")
 
@@ -140,6 +143,12 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                     raise ToolkitError(
                         "names are lower-case letters, digits, . and -", field=part, value=name
                     )
+        for part in ("variants", "tests", "sets", "poses", "baselines", "protocols", "compare"):
+            if len(getattr(self, part)) > _MOST:
+                raise ToolkitError(
+                    f"at most {_MOST}", field=part, value=len(getattr(self, part)),
+                    hint="divide the recipe",
+                )  # fmt: skip
         for part in ("variants", "tests", "protocols"):
             if not getattr(self, part):
                 raise ToolkitError("needs at least one", field=part)
@@ -198,7 +207,7 @@ class RecipeConfig:
     with --plan"""
     only: tuple[str, ...] = ()
     """variants to run (all)"""
-    seed: int = 0
+    seed: Seed = 0
     """of weights, order and held-out scenes"""
     steps: Annotated[int, msgspec.Meta(ge=1)] | None = None
     """of every training (the scale's)"""

@@ -13,6 +13,8 @@ from benchmark.evaluation.depth_choice import DepthChoice
 from benchmark.evaluation.tasks.depth import Run
 from benchmark.evaluation.tasks.pose import PoseRun
 from benchmark.methods.registry import MethodOptions, make_restorer
+from benchmark.metrics.pose.pose_protocol import get_pose_protocol
+from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.published.load import published_table
 from benchmark.recipes.frame_sets import FrameSet, given_set, mark_of, parse_given, plan_set
 from benchmark.recipes.recipe import (
@@ -27,6 +29,7 @@ from benchmark.recipes.recipe import (
     load_recipe,
 )
 from benchmark.recipes.targets import Target, find_targets
+from benchmark.training.options import PackOptions
 from benchmark.training.run_files import BEST
 from std_toolkit.errors import ToolkitError, check_known
 
@@ -159,6 +162,11 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     scale = get_scale(config.scale)
     if recipe.table:
         published_table(recipe.table)  # fail on a wrong name before any work
+    for protocol in recipe.protocols:
+        get_protocol(protocol)  # likewise
+    if recipe.poses:
+        for protocol in recipe.pose_protocols:
+            get_pose_protocol(protocol)
     for variant in config.only:
         problem = "the recipe has no such variant"
         check_known(variant, recipe.variants, problem, field="--only", told="it has")
@@ -175,6 +183,8 @@ def plan_recipe(config: RecipeConfig) -> RecipePlan:
     wanted = {k: p for k, p in recipe.poses.items() if p.depth in (*POSE_DEPTHS, *variants)}
     needed = [v.set for v in variants.values()] + [p.set for p in wanted.values()]
     needed += [t.set for t in targets if t.set]
+    for one in recipe.sets:  # also where no variant uses it now
+        plan_set(one, recipe, scale, {}, out)
     sets = {one: plan_set(one, recipe, scale, given, out) for one in dict.fromkeys(needed)}
     if unused := [one for one in given if one not in sets and one not in _likes(recipe, sets)]:
         raise ToolkitError("the recipe has no use for this set", value=unused[0])
@@ -250,6 +260,7 @@ def _entry(
         trainable = get_trainable(variant.method)
         settings = trainable.settings_of(scale.preset, {**how.settings, **variant.settings})
         size = tuple(trainable.config(scale.preset, settings).input_size)
+        PackOptions(size=size)  # type: ignore[arg-type] # fails on a size that cannot be packed
     except ToolkitError as error:
         return replace(planned, problem=f"cannot be trained here: {error}")
     packs = [

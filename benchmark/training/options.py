@@ -13,12 +13,18 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
-from std_toolkit.options import JobOptions
+from std_toolkit.options import JobOptions, Seed
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
+Pixels = Annotated[int, msgspec.Meta(ge=1, le=16_384)]
+# Seeds of the scenes that are scored begin 60,000 after those of the others.
+Scenes = Annotated[int, msgspec.Meta(ge=1, le=29_999)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Size = Annotated[str, msgspec.Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}$")]
+Size = Annotated[
+    str,
+    msgspec.Meta(pattern=r"^[1-9]\d{1,3}x[1-9]\d{1,3}$", description="WIDTHxHEIGHT, as 224x126"),
+]
 Precision = Literal["fp32", "bf16"]
 BatchNormStatistics = Literal["running", "recomputed"]
 DepthKind = Literal["float32", "float16"]
@@ -103,7 +109,7 @@ class TrainOptions:
     published, or recomputed over 400 frames before each validation"""
     precision: Precision = "fp32"
     """arithmetic of the network"""
-    seed: int = 0
+    seed: Seed = 0
     """of weights, order, augmentation and dropout"""
     validate_every: Count | None = None
     """steps between validations"""
@@ -126,11 +132,11 @@ class Machine:
 
     accelerator: Literal["auto", "cpu", "gpu"] = "auto"
     """processors that networks run on"""
-    devices: Count = 1
+    devices: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
     """processes on each machine"""
-    nodes: Count = 1
+    nodes: Annotated[int, msgspec.Meta(ge=1, le=1024)] = 1
     """machines, started by torchrun or Ray"""
-    readers: int = 2
+    readers: Annotated[int, msgspec.Meta(ge=0, le=1024)] = 2
     """processes that read packed frames, for each device"""
     log_every: Count = 50
     """steps between rows of the log"""
@@ -165,14 +171,14 @@ class TrainCommand(TrainOptions):
 class PackOptions:
     """How frames are packed."""
 
-    size: tuple[Count, Count] = (224, 224)
+    size: tuple[Pixels, Pixels] = (224, 224)
     """width and height of all maps; the aspect need not be kept"""
     depth: DepthKind = "float32"
     """float16 halves the largest part of the files and rounds depths of 0.5 to 1 m by up to
     0.25 mm"""
     color: ColorWay = "cubic"
     """how colour is resized; depth and masks take the nearest pixel"""
-    shard: Count = 64
+    shard: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 64
     """frames per file: what is lost at most when packing is killed"""
     nocs: bool = False
     """also pack NOCS and classes, for pose networks"""
@@ -229,7 +235,7 @@ class GraspPackOptions:
     """How scenes of labelled grasps are made."""
 
     table: TableOptions = field(default_factory=TableOptions)
-    seed: int = 0
+    seed: Seed = 0
     """of the first scene; the others follow"""
     frames: Count = 4
     """views of a scene"""
@@ -283,9 +289,9 @@ class MineOptions:
     """folder of your labelled scenes; the last third by name is scored and not trained on"""
     method: str = "swindrnet"
     """network with shipped compact weights: swindrnet, nlspn, dfnet"""
-    simulated: Count = 24
+    simulated: Scenes = 24
     """scenes to simulate for training"""
-    tests: Count = 6
+    tests: Scenes = 6
     """further scenes to simulate for the scores"""
     views: Count = 12
     """frames of a simulated scene"""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sensors.assets import asset
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M, check_mesh_size
+from std_toolkit.geometry.mesh import MESH_SUFFIXES, OTHER_MESHES, UNITS_IN_M, check_mesh_size
 from std_toolkit.geometry.obj_files import FilesBeside
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.geometry.symmetry import Symmetry
@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 _PLAIN = (180, 180, 180)
 
 _SAMPLES = 2000
+
+# Squares and cubes of coordinates must stay far from where numbers end, in any unit.
+_FARTHEST = 1e9
 
 # Largest distance between a rotated surface and the original, as a fraction of the diagonal; one
 # point in a hundred may be further away. A faceted cylinder of 16 sides deviates from the round one
@@ -76,6 +79,11 @@ def read_asset(
         )
     if not np.isfinite(vertices).all():
         raise ToolkitError("the mesh holds vertices that are not finite", path=path)
+    if np.abs(vertices).max() > _FARTHEST:
+        raise ToolkitError(
+            "the mesh holds vertices implausibly far away", path=path,
+            value=float(np.abs(vertices).max()),
+        )  # fmt: skip
     if up == "z":
         vertices = vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
     try:
@@ -110,9 +118,7 @@ def _read(path: Path) -> list[trimesh.Trimesh]:
     if not path.is_file():
         raise ToolkitError("mesh file not found", path=path)
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ToolkitError(
-            "not a mesh format", path=path, value=path.suffix, hint=f"one of {MESH_SUFFIXES}"
-        )
+        raise ToolkitError("not a mesh format", path=path, value=path.suffix, hint=OTHER_MESHES)
     try:
         beside = cast("Any", FilesBeside(path.parent))
         loaded = trimesh.load(path, process=False, maintain_order=True, resolver=beside)

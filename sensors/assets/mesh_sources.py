@@ -26,7 +26,7 @@ import numpy as np
 
 from sensors.assets import asset, asset_source, mesh_file
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.mesh import MESH_SUFFIXES, UNITS_IN_M
+from std_toolkit.geometry.mesh import MESH_SUFFIXES, OTHER_MESHES, UNITS_IN_M, UNREAD_MESHES
 from std_toolkit.io.documents import read_document
 from std_toolkit.scene.document import check_name, check_relative, safe_name
 
@@ -112,10 +112,16 @@ class FolderSource:
             if asset_source.in_split(self._rows[key].mesh, options.split):
                 self._ids.setdefault(self._rows[key].category, []).append(key)
         if not self._ids:
+            unread = sorted(p for p in self._root.rglob("*") if p.suffix.lower() in UNREAD_MESHES)
+            if not self._rows and unread:
+                raise ToolkitError("not a mesh format", path=unread[0], hint=OTHER_MESHES)
+            others = f": {len(self._rows)} of the other split" if self._rows else ""
             raise ToolkitError(
-                f"no mesh here for the split {options.split!r}",
+                f"no mesh here for the split {options.split!r}{others}",
                 path=self._root,
-                hint=f"expected <category>/*{MESH_SUFFIXES[0]} or a {DOCUMENT}",
+                hint="one mesh in five is for tests, by its path; add meshes, or take that split"
+                if self._rows
+                else f"expected <category>/*{MESH_SUFFIXES[0]} or a {DOCUMENT}",
             )
 
     def categories(self) -> Sequence[str]:

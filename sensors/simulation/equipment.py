@@ -20,6 +20,7 @@ from sensors.simulation.options import SimulationOptions
 from sensors.specs import SensorSpec, load_sensor
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.plugins import check_named, names_of
 
 # Its objects may get the materials of this category, as vessels do.
 DRESSED_AS = "bottle"
@@ -49,9 +50,13 @@ class Equipment:
         """Load all of it; fast, so that invalid options are reported before any work begins.
 
         Raises:
-            ToolkitError: an unknown or unusable sensor, image size, matcher, source or pattern.
+            ToolkitError: an unknown or unusable sensor, one whose file names code, or an
+                unknown or unusable image size, matcher, source or pattern.
         """
         sensor = load_sensor(options.sensor)
+        if not options.allow_code:
+            with names_of(f"the sensor {options.sensor}"):
+                check_named(sensor.depth_model, field="depth_model")
         model = make_depth_model(
             sensor,
             DepthModelOptions(

@@ -9,9 +9,13 @@ import msgspec
 from std_toolkit.cli.command_options import words_of
 from std_toolkit.errors import CheckedOptions, ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
-from std_toolkit.options import JobOptions
+from std_toolkit.options import JobOptions, Seed
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
+# A scene's files are numbered with four digits; infrared cameras have up to two megapixels.
+Views = Annotated[int, msgspec.Meta(ge=1, le=9999)]
+Elevation = Annotated[float, msgspec.Meta(ge=0, lt=90)]
+Pixels = Annotated[int, msgspec.Meta(ge=1, le=8192)]
 
 Layout = Literal["dreds", "novel", "scene"]
 
@@ -43,15 +47,15 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     sensor: str = "d415"
     """d415, d435, d455, azure_kinect or the path of a specification"""
-    views: Count = 30
+    views: Views = 30
     """frames of a scene"""
     order: ViewOrder = "random"
     """viewpoints drawn independently, or along a smooth path as the curation pipeline needs them"""
-    sweep_deg: float = 120.0
+    sweep_deg: Annotated[float, msgspec.Meta(ge=-3600, le=3600)] = 120.0
     """angle of a smooth path around the table, negative for clockwise"""
-    width: Count = 640
+    width: Pixels = 640
     """of infrared, depth and labels, in pixels (a time-of-flight camera: its own size)"""
-    height: Count = 360
+    height: Pixels = 360
     """of infrared, depth and labels, in pixels"""
     color_factor: Annotated[int, msgspec.Meta(ge=1, le=4)] = 1
     """the colour image is this many times as large"""
@@ -99,6 +103,10 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     depth: DepthInput = "sensor"
     """sensor: stereo; cut: exact depth without transparent and specular objects; exact: of all,
     with black infrared images, in half of the time: colour for training, which takes depth away"""
+
+    allow_code: bool = False
+    """import what the file of --sensor names as file.py:NAME or package.module:NAME, which runs
+    code"""
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -155,7 +163,7 @@ class SceneOptions:
 
     preset: PresetName = "draft"
     """defaults of the options of a scene"""
-    seed: int = 0
+    seed: Seed = 0
     """of the first scene; the others follow it"""
     options: SimulationOptions = field(default_factory=SimulationOptions)
 
@@ -170,7 +178,7 @@ class RunCommand(SceneOptions):
 
     out: Path = field(metadata={"option": "out", "writes": Writes("results", ("simulation.json",))})
     """data set"""
-    scenes: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    scenes: Annotated[int, msgspec.Meta(ge=0, le=100_000)] | None = None
     """number of scenes (that of the preset)"""
     share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
     """make this share of the scenes only, spread evenly: an ablation of the amount of data"""
@@ -200,7 +208,7 @@ class StatsCommand:
 
     root: Path
     """data set"""
-    csv: Path | None = field(default=None, metadata={"writes": Writes("file")})
+    csv: Path | None = field(default=None, metadata={"writes": Writes("file", suffix=".csv")})
     """write the depth table to this file"""
     json: bool = False
     """print JSON"""
@@ -249,7 +257,7 @@ class TurntableOptions(CheckedOptions):
     """of the photos, in pixels"""
     fov_deg: Annotated[float, msgspec.Meta(gt=5, lt=120, extra={"option": "fov"})] = 60.0
     """horizontal field of view"""
-    elevations_deg: tuple[float, float] = field(
+    elevations_deg: tuple[Elevation, Elevation] = field(
         default=(22.0, 50.0), metadata={"option": "elevations"}
     )
     """heights of the camera, as angles above the table"""
@@ -263,7 +271,7 @@ class TurntableOptions(CheckedOptions):
     """diameter of the lens opening, for defocus; 0: everything is sharp"""
     noise: Annotated[float, msgspec.Meta(ge=0, le=20)] = 1.0
     """noise of the camera, 1 as in good light"""
-    seed: int = 0
+    seed: Seed = 0
     """of light, hand and noise"""
 
 

@@ -177,7 +177,7 @@ class Turntable:
             pose,
             ambient=1.0,
             options=RenderOptions(samples=o.samples, chunk=0, max_depth=12),
-            seed=o.seed * 10_007 + index,
+            seed=(o.seed * 10_007 + index) % 2**32,
         )
         maps = self._caster.maps(self.camera, pose)
         radiance = denoise(light)

@@ -18,7 +18,11 @@ from std_toolkit.scene.pose_model import CameraModel
 Angles = Annotated[list[Annotated[float, msgspec.Meta(gt=1, lt=170)]],
                    msgspec.Meta(min_length=2, max_length=2)]  # fmt: skip
 
-Range = Annotated[list[document.NonNegative], msgspec.Meta(min_length=2, max_length=2)]
+Range = Annotated[list[Annotated[float, msgspec.Meta(ge=0, le=1000)]],
+                  msgspec.Meta(min_length=2, max_length=2)]  # fmt: skip
+
+# A 16-bit image at the finest unit covers 6.5 cm.
+Unit = Annotated[float, msgspec.Meta(ge=1e-6, le=0.1)]
 
 # Two sizes are scaled copies of one image if their aspect ratios differ by less: 848x480 is
 # nominally 16:9.
@@ -105,7 +109,7 @@ class DepthSpec(document.Document, frozen=True, kw_only=True):
     """
 
     field_of_view_deg: Angles
-    unit_m: document.Positive
+    unit_m: Unit
     range_m: Range
     disparities: Annotated[int, msgspec.Meta(ge=16, le=512)] | None = None
     noise_px: document.NonNegative = 0.0

@@ -28,6 +28,26 @@ if TYPE_CHECKING:
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 
+OTHER_MESHES = (
+    f"one of {', '.join(MESH_SUFFIXES)}; export COLLADA (.dae), FBX, STEP or .blend "
+    "files as OBJ or GLB, in Blender or MeshLab"
+)
+"""Hint for a mesh in another format."""
+
+UNREAD_MESHES = (
+    ".dae",
+    ".fbx",
+    ".3ds",
+    ".blend",
+    ".step",
+    ".stp",
+    ".iges",
+    ".igs",
+    ".usd",
+    ".usdz",
+)
+"""Meshes that people have and that are not read."""
+
 # Plausible size of table-top objects: 3 mm to 3 m. A mug in millimetres is 100 "metres" high, a
 # mug in metres read as millimetres 0.1 mm.
 SMALLEST_EXTENT_M = 0.003
@@ -79,9 +99,7 @@ def load_mesh(
     if not path.is_file():
         raise ToolkitError("mesh file not found", path=path)
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ToolkitError(
-            "not a mesh format", path=path, value=path.suffix, hint=f"one of {MESH_SUFFIXES}"
-        )
+        raise ToolkitError("not a mesh format", path=path, value=path.suffix, hint=OTHER_MESHES)
     files = read_obj(path) if path.suffix.lower() == ".obj" else None
     if files is not None:
         log_notes(path, files)

@@ -166,6 +166,7 @@ def _examine_file(request: ImportRequest, report: Report) -> None:
         )
         report.add("found", f"mesh of {len(mesh.faces)} faces, {size} units, {colors}")
         return
+    importer.refuse_other_programs(path)
     try:
         found = read_intrinsics(str(path), camera=request.camera)
     except ToolkitError as error:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from std_toolkit import errors, plugins
+from std_toolkit.geometry.mesh import OTHER_MESHES, UNREAD_MESHES
 from std_toolkit.importers.bop_packed import packed_split
 from std_toolkit.importers.depth_survey import UnitOrigin
 from std_toolkit.importers.foreign_files import is_ros_recording
@@ -209,6 +210,34 @@ def format_of(request: ImportRequest) -> str:
     return detect_format(request.source)
 
 
+_CONVERT: dict[str, str] = {
+    **dict.fromkeys(
+        (".mkv", ".svo", ".svo2", ".oni"),
+        "write it as a rosbag2, or as folders of colour and of aligned depth (16-bit PNG), with "
+        "the camera's own tools (Azure Kinect: Open3D's azure_kinect_mkv_reader.py); import these",
+    ),
+    **dict.fromkeys(
+        (".mp4", ".mov", ".avi", ".webm", ".m4v"),
+        "a video has no depth: std-scan takes it as photos; for an import give folders of images",
+    ),
+    **dict.fromkeys(UNREAD_MESHES, OTHER_MESHES),
+}
+
+
+def refuse_other_programs(source: Path) -> None:
+    """Tell what to do with a file that other programs write and no importer reads.
+
+    Raises:
+        ToolkitError: it is a recording of the Azure Kinect or ZED, a video, or a mesh in another
+            format.
+    """
+    hint = _CONVERT.get(source.suffix.lower())
+    if hint is not None and source.is_file():
+        raise errors.ToolkitError(
+            f"{source.suffix.lower()} files are not read", path=source, hint=hint
+        )
+
+
 def detect_format(source: Path) -> str:
     """Detect the format of `source`.
 
@@ -217,6 +246,7 @@ def detect_format(source: Path) -> str:
     """
     if not source.exists() and packed_split(source) is None:
         raise errors.ToolkitError("no such file or folder", path=source)
+    refuse_other_programs(source)
     found = [name for name in IMPORTERS if _recognises(name, source)]
     if len(found) > 1 and "folder" in found:  # other formats, too, have folders of images
         found.remove("folder")

@@ -32,6 +32,7 @@ T = TypeVar("T")
 # Real YAML files of poses and cameras are below 100 kB and 10 levels.
 _LARGEST_YAML_BYTES = 1024 * 1024
 _DEEPEST_YAML = 40
+_CONTROL = re.compile(r"[^\n\r\t\x20-\x7e\xa0-\U0010ffff]")
 _LARGEST_JSON_BYTES = 16 * 1024 * 1024
 _LARGEST_NPY_BYTES = 2**40
 _LARGEST_UNPACKED_BYTES = 2**30
@@ -187,12 +188,13 @@ def read_toml(path: Path, type_: type[T]) -> T:
 
     Raises:
         ToolkitError: unreadable, larger than 1 MB, no TOML, nested deeper than 40 levels, a key of
-            more than 20 parts, or a field of another type; the field is named.
+            more than 20 parts, a control character, or a field of another type; the field is named.
     """
     text = read_text(path, "TOML file", _LARGEST_YAML_BYTES)
     _check_toml(text, path)
     try:
         values = tomllib.loads(text, parse_float=float)
+        _refuse_control(values, path, "")
         return msgspec.convert(values, type_)
     except msgspec.ValidationError as error:
         problem, _, at = str(error).partition(" - at `$")
@@ -202,6 +204,22 @@ def read_toml(path: Path, type_: type[T]) -> T:
     except (ValueError, RecursionError) as error:  # also TOMLDecodeError
         line = " ".join(str(error).split())
         raise ToolkitError(f"no TOML: {line[:200]}", path=path) from error
+
+
+def _refuse_control(value: Any, path: Path, field: str) -> None:
+    """Refuse escapes of control characters: such words are printed, and would rewrite a terminal.
+
+    The text itself cannot hold them, but line breaks and tabs.
+    """
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _refuse_control(key, path, field)
+            _refuse_control(item, path, f"{field}.{key}" if field else key)
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            _refuse_control(item, path, f"{field}[{index}]")
+    elif isinstance(value, str) and _CONTROL.search(value):
+        raise ToolkitError("holds a control character", path=path, field=field, value=value)
 
 
 def _check_toml(text: str, path: Path) -> None:

@@ -44,12 +44,14 @@ class Writes:
             is a file that is replaced, `place` a file or a new folder. `scene` is a scene, which
             the step locks.
         marks: entries by one of which a folder of results of an earlier version is known.
+        suffix: that the name of a file must have, so that files of another kind are not replaced.
         inputs: folders in it whose entries are links to inputs, which are only read.
     """
 
     kind: Literal["new", "results", "parts", "files", "file", "place", "scene"]
     marks: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
+    suffix: str = ""
 
 
 def regular(path: Path | str, *, field: str | None = None) -> os.stat_result | None:
@@ -84,15 +86,22 @@ def opened(options: Iterable[tuple[str, Any, Mapping[str, Any]]], program: str) 
         ToolkitError: an input or output cannot be used.
     """
     with ExitStack() as held:
-        outputs = []
+        outputs, inputs = [], set()
         for title, value, metadata in options:
             for item in value if isinstance(value, tuple) else (value,):
                 if isinstance(item, Path | str):
                     file = _FILE_OF_CODE.fullmatch(str(item))
-                    regular(file[1] if file else item, field=title)
+                    status = regular(file[1] if file else item, field=title)
+                    if status is not None and "writes" not in metadata:
+                        inputs.add((status.st_dev, status.st_ino))
             if "writes" in metadata and value is not None:
                 outputs.append((title, Path(value), metadata["writes"]))
         for title, path, writes in outputs:
+            status = regular(path, field=title) if writes.kind == "file" else None
+            if status is not None and (status.st_dev, status.st_ino) in inputs:
+                raise ToolkitError(
+                    "is an input of this command", path=path, field=title, hint="name another file"
+                )
             held.enter_context(output(path, writes, program, field=title))
         yield
 
@@ -110,6 +119,8 @@ def output(path: Path, writes: Writes, program: str, *, field: str | None = None
     if writes.kind in ("file", "place", "scene"):
         if is_folder and writes.kind == "file":
             raise ToolkitError("is a folder", path=path, field=field, hint="name a file")
+        if writes.suffix and path.suffix.lower() != writes.suffix:
+            raise ToolkitError(f"must end in {writes.suffix}", path=path, field=field)
         yield
         return
     if status is not None and not is_folder:

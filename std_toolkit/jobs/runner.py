@@ -28,7 +28,8 @@ from std_toolkit.jobs.memory import keep_freed_memory
 from std_toolkit.jobs.outcome import ATTEMPTS, Item, Outcome, Result, error_of, worker_died
 from std_toolkit.log import logger
 from std_toolkit.options import JobOptions, usable_cores
-from std_toolkit.settings import in_force, use_only
+from std_toolkit.plugins import naming_document, take_names_of
+from std_toolkit.settings import Settings, in_force, use_only
 
 Call = Callable[[Any], Outcome[Any]]
 
@@ -162,15 +163,26 @@ def _duration(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
 
 
+def inherited() -> tuple[tuple[Settings, ...], str | None]:
+    """What a process that is started must know of this one: the arguments of `inherit`."""
+    return in_force(), naming_document()
+
+
+def inherit(limits: Sequence[Settings], document: str | None) -> None:
+    """Use the limits of the starting process, and refuse code where it refuses code."""
+    use_only(limits)
+    take_names_of(document)
+
+
 class _Guarded(Generic[Item, Result]):
-    """`fn` under the present limits, its exceptions turned into outcomes; can be pickled."""
+    """`fn` as in this process, its exceptions turned into outcomes; can be pickled."""
 
     def __init__(self, fn: Callable[[Item], Result]) -> None:
         self.fn = fn
-        self.limits = in_force()
+        self.inherited = inherited()
 
     def __call__(self, item: Item) -> Outcome[Result]:
-        use_only(self.limits)
+        inherit(*self.inherited)
         try:
             return Outcome(result=self.fn(item))
         except (KeyboardInterrupt, GeneratorExit):

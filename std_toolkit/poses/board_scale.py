@@ -36,6 +36,10 @@ class BoardSettings(Settings):
     """squares of a ChArUco board along a side"""
     most_tags: int = limit(10_000, source="no printed board has more")
     """tags of a grid"""
+    smallest_tag_mm: float = limit(1.0, unit="mm", source="no camera resolves a smaller one")
+    """shortest side of a tag; below, or with corners at one place, the file is in another unit"""
+    largest_tag_mm: float = limit(5000.0, unit="mm", source="no printed tag is larger")
+    """longest side of a tag"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +92,7 @@ class Board:
         if "charuco" in data:
             return _read_charuco(data["charuco"], path)
         dictionary = str(data.get("dictionary", "DICT_APRILTAG_36h11"))
-        _dictionary(dictionary, path)
+        known = len(_dictionary(dictionary, path).bytesList)
         tags = []
         ids = sorted((k for k in data if k.isascii() and k.isdecimal()), key=int)
         most = BoardSettings.current().most_tags
@@ -96,11 +100,18 @@ class Board:
             raise ToolkitError(f"a board has at most {most} tags", path=path, value=len(ids))
         for key in ids:
             corners = _corners(data[key], path, key)
+            if int(key) >= known:
+                raise ToolkitError(
+                    f"{dictionary} has no tag of this id: its ids end at {known - 1}",
+                    path=path, field=key, hint="give the dictionary that was printed",
+                )  # fmt: skip
             tags.append((int(key), tuple((x, y, z) for x, y, z in corners.tolist())))
         if not tags:
+            others = [key for key in data if key not in ("dictionary", "paper_mm")]
             raise ToolkitError(
-                "the board has no tags", path=path, hint='expected {"<tag id>": 4 corners in mm}'
-            )
+                "the board has no tags", path=path, value=", ".join(others[:5]) or None,
+                hint='expected {"<tag id>": 4 corners in mm}',
+            )  # fmt: skip
         return Board(dictionary=dictionary, tags=tuple(tags))
 
 
@@ -230,6 +241,13 @@ def _corners(value: object, path: Path, key: str) -> NDArray[np.float64]:
         corners = np.zeros(0)
     if corners.shape != (4, 3) or not np.isfinite(corners).all():
         raise ToolkitError("a tag needs 4 corners of 3 numbers, in mm", path=path, field=key)
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    limits = BoardSettings.current()
+    if not limits.smallest_tag_mm <= sides.min() <= sides.max() <= limits.largest_tag_mm:
+        raise ToolkitError(
+            f"a tag has sides of {limits.smallest_tag_mm:g} to {limits.largest_tag_mm:g} mm",
+            path=path, field=key, value=sides.tolist(), hint="corners are in mm, in their order",
+        )  # fmt: skip
     return corners / 1000
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
+from std_toolkit.poses.board_scale import Board
 
 Paper = Literal["a4", "a3", "letter"]
 Middle = Literal["white", "grey", "pattern"]
@@ -177,16 +178,30 @@ def write_board_pdf(
         Both files.
 
     Raises:
-        ToolkitError: the suffix is not .pdf, or see `make_board_sheet`.
+        ToolkitError: the suffix is not .pdf, a file in the place of the description is none, or
+            see `make_board_sheet`.
     """
     if path.suffix.lower() != ".pdf":
         raise ToolkitError("must end in .pdf", path=path, field="--out", value=path.name)
     sheet = make_board_sheet(paper, first_id=first_id, middle=middle)
     description = path.with_suffix(".json")
+    if description.exists() and not _is_description(description):
+        raise ToolkitError(
+            "is no description of a board and would be replaced", path=description, field="--out",
+            hint="give the PDF another name",
+        )  # fmt: skip
     write_bytes_atomic(path, _pdf(sheet, description.name))
     text = json.dumps(sheet.document(), indent=1)
     write_bytes_atomic(description, text.encode() + b"\n")
     return path, description
+
+
+def _is_description(path: Path) -> bool:
+    try:
+        Board.read(path)
+    except ToolkitError:
+        return False
+    return True
 
 
 def _pdf(sheet: BoardSheet, description: str) -> bytes:

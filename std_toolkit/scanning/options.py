@@ -10,6 +10,7 @@ from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.door import Writes
 from std_toolkit.options import KnownCameras
+from std_toolkit.scene.document import check_name
 
 # Work of an earlier version lies in .scan.
 MODEL_FOLDER = Writes("results", (".scan",))
@@ -66,15 +67,16 @@ class ScanOptions:
     """number of photos that each photo is compared with for depth"""
     depth: str = "patchmatch"
     """engine of the depth maps: patchmatch, an installed plug-in, or file.py:NAME"""
-    max_features: Annotated[int, msgspec.Meta(ge=100)] = 4000
+    max_features: Annotated[int, msgspec.Meta(ge=100, le=1_000_000)] = 4000
     """SIFT features per photo"""
-    image_size: Annotated[int, msgspec.Meta(ge=320)] = 1600
+    image_size: Annotated[int, msgspec.Meta(ge=320, le=65_535)] = 1600
     """longer side to which larger photos are reduced, pixels"""
     known: KnownCameras = field(default_factory=KnownCameras)
     jobs: JobOptions = field(default_factory=JobOptions)
 
     def __post_init__(self) -> None:
         check_options(self)
+        check_name(self.category, field="--category")
         if self.wall_mm is not None and self.known.cameras is not None:
             raise ToolkitError(
                 "needs the board, which tells what is upright", field="--wall-mm",
@@ -119,7 +121,7 @@ class ScanOptions:
 class BoardCommand:
     """Make the board that the object stands on: a PDF to print at 100 %, and its description."""
 
-    out: Path = field(metadata={"option": "out", "writes": Writes("file")})
+    out: Path = field(metadata={"option": "out", "writes": Writes("file", suffix=".pdf")})
     """PDF file; the description has the same name with the suffix .json"""
     paper: Literal["a4", "a3", "letter"] = "a4"
     """size of the sheet; letter: 8.5 x 11 inches"""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import pickle
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from std_toolkit.errors import ToolkitError, is_interrupt
+from std_toolkit.errors import CheckedOptions, ToolkitError, is_interrupt
 from std_toolkit.io.documents import InvalidDocument
 
 
@@ -29,6 +33,13 @@ def test_any_text_stays_one_printable_line(problem: str, path: str, value: str) 
 
 def test_escape_codes_in_names_do_not_reach_the_terminal() -> None:
     assert str(ToolkitError("gone", path="\x1b[2Ja\nb")) == "\\x1b[2Ja b: gone"
+
+
+@pytest.mark.parametrize("part", ["problem", "path", "field", "hint"])
+def test_a_line_stays_readable_whatever_a_file_says(part: str) -> None:
+    parts = {"problem": "no such key", "field": "k", part: "k" * 100_000}
+    problem = parts.pop("problem")
+    assert len(str(ToolkitError(problem, **parts))) < 5000
 
 
 def test_long_values_are_cut_and_numbers_of_numpy_are_plain() -> None:
@@ -53,3 +64,23 @@ def test_an_interrupt_is_found_behind_other_errors_even_in_a_circle() -> None:
     assert is_interrupt(hidden) and is_interrupt(KeyboardInterrupt())
     circle[0].__cause__, circle[1].__context__ = circle[1], circle[0]
     assert not is_interrupt(circle[0])
+
+
+@dataclass(frozen=True)
+class _Sized(CheckedOptions):
+    sizes: tuple[Annotated[str, msgspec.Meta(pattern=r"^[1-9]\d*x[1-9]\d*$")], ...] = ()
+    rate: float = 1.0
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"sizes": ("9x9", "0x0")}, "sizes: must have the form"),
+        ({"rate": math.inf}, "rate: must be finite"),
+        ({"rate": math.nan}, "rate: must be finite"),
+    ],
+)
+def test_options_are_of_their_form_and_finite(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ToolkitError, match=words):
+        _Sized(**values)
+    _Sized(sizes=("9x9",), rate=1e300)

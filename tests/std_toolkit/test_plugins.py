@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.plugins import Registry, error_of_plugin, names_of
 
 
@@ -86,6 +88,24 @@ def test_an_error_of_a_plug_in_names_its_file_and_line(registry: Registry, tmp_p
     found = error_of_plugin(raised_here.value, in_use=True)
     assert found is not None
     assert str(file) in str(found) and "does the plug-in give what" in str(found)
+
+
+def _attribute(name: str) -> int:
+    registry: Registry[int] = Registry("std_toolkit.tests", {})
+    return registry.get(name)
+
+
+def test_workers_and_threads_run_no_code_of_a_document(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nX = 1\n")
+    names = [f"{file}:X", f"{file}:Y"]
+    with names_of("the recipe a.toml"):
+        report = run_jobs(_attribute, names, name="names", options=JobOptions(workers=2))
+        with ThreadPoolExecutor(1) as pool:
+            thread = pool.submit(_attribute, names[0])
+    for error in (*report.failed.values(), str(thread.exception())):
+        assert "a.toml names code, which is not loaded" in error
+    assert len(report.failed) == 2 and not (tmp_path / "ran").exists()
 
 
 def test_names_of_a_document_run_no_code(registry: Registry, tmp_path: Path) -> None:

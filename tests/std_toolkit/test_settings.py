@@ -75,6 +75,12 @@ def test_workers_have_the_same_limits() -> None:
         ("[labels.texture.nothing]\nclarity = 1", "no group of settings"),
         ("[os]\nname = 1", "no group of settings"),
         ("clarity = 1", "no group of settings"),
+        ("[[labels.texture.comparison]]\nclarity = 1", "comparison: expected a table"),
+        ("labels.texture.comparison = 1", "comparison: expected a table"),
+        (
+            "[labels.texture.comparison]\nclarity = 1\n['labels.texture.comparison']\nclarity = 0",
+            "the group is given twice",
+        ),
         ("[labels.texture.comparison\n", "no TOML"),
     ],
 )

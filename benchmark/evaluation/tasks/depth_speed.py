@@ -28,8 +28,8 @@ from benchmark.methods.protocol import Restorer, View
 from benchmark.metrics.protocols.protocol import HARD, get_protocol
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import write_document
+from std_toolkit.jobs.runner import inherit, inherited
 from std_toolkit.options import usable_cores
-from std_toolkit.settings import in_force, use_only
 
 SPEED = "speed.json"
 
@@ -248,7 +248,7 @@ def _apart(run: FrameRun[Restorer], call: Callable[..., Any], *args: Any) -> Any
     """The result of a call in a process of its own."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(
-        1, mp_context=context, initializer=use_only, initargs=(in_force(),)
+        1, mp_context=context, initializer=inherit, initargs=inherited()
     ) as pool:
         try:
             return pool.submit(call, *args).result()

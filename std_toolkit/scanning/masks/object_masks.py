@@ -25,6 +25,9 @@ from std_toolkit.scanning.photos.views import View
 # Width of the rim of a mask that may lack a part of the object.
 _RIM_PX = 3
 
+# A mask this many times smaller than its photo has steps of as many pixels along the outline.
+_SMALLEST = 8
+
 
 def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: int) -> list[View]:
     """Views with the mask of the object; views that do not show it are left out.
@@ -117,14 +120,27 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
                     f"the mask has another shape than its photo, which is {w}x{h}", path=path,
                     value=f"{mask.shape[1]}x{mask.shape[0]}", hint="is it of another photo?",
                 )  # fmt: skip
+            if w > _SMALLEST * mask.shape[1]:
+                raise ToolkitError(
+                    f"the mask is more than {_SMALLEST} times smaller than its photo, which is "
+                    f"{w}x{h}", path=path, value=f"{mask.shape[1]}x{mask.shape[0]}",
+                    hint="give masks of the size of the photos",
+                )  # fmt: skip
             if mask.shape != (h, w):
                 mask = cv2.resize(mask, (w, h), interpolation=cv2.INTER_NEAREST)  # type: ignore[assignment]
             found[view.name] = mask > 0
     if not found:
         raise ToolkitError(
+<<<<<<< HEAD
             "no mask is named as a photo", path=folder, field="--masks",
             hint=f"such as {Path(posed.views[0].name).stem}.png",
         )  # fmt: skip
+=======
+            "no mask is named as a photo",
+            path=folder,
+            hint=f"such as {Path(posed.views[0].name).stem}.png",
+        )
+>>>>>>> hostile9
     return found
 
 
@@ -134,12 +150,19 @@ def _numbers(text: str, option: str, count: int, posed: PosedPhotos) -> tuple[in
         values = [float(x) for x in rest.split(",")]
     except ValueError:
         values = []
-    if not name or len(values) != count:
+    if not name or len(values) != count or not np.isfinite(values).all():
         expected = "PHOTO:x,y" if count == 2 else "PHOTO:x0,y0,x1,y1"
+<<<<<<< HEAD
         raise ToolkitError(f"expected {expected}", field=option, value=text)
     index = posed.photos.index_of(name, option)
     wanted = posed.photos.paths[index].name
     values = [v * posed.photos.factor_of(index) for v in values]
+=======
+        raise ToolkitError(
+            f"expected {expected}", field=option, value=text, hint="numbers of pixels"
+        )
+    wanted = posed.photos.paths[posed.photos.index_of(name, option)].name
+>>>>>>> hostile9
     for i, view in enumerate(posed.views):
         if view.name == wanted:
             return i, values

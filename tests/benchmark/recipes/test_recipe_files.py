@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import msgspec
@@ -132,6 +133,11 @@ def test_what_a_method_does_not_say_is_that_of_the_scale() -> None:
             'title = "Mine"\n[poses.a]\ntitle="A"\nmethod="nocs"\ndepth="two"',
             r"poses\.a\.depth: no such depth .*raw, gt, one",
         ),
+        (
+            'title = "Mine"',
+            'title = "Mine"\nbaselines = [' + "'raw', " * 201 + "]",
+            r"baselines: at most 200 \(got 201\)",
+        ),
     ],
 )
 def test_a_wrong_recipe_is_told_in_one_line(old: str, new: str, told: str, tmp_path: Path) -> None:
@@ -155,6 +161,24 @@ def test_what_there_is_not(tmp_path: Path) -> None:
         published_table("main: none")
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("views = -5", r"sets\.other\.options.views.*>= 1"),
+        ("colour = 3", "unknown field `colour`"),
+        ("views = 'many'", "Expected `int`"),
+    ],
+)
+def test_a_set_that_no_variant_uses_is_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, told: str
+) -> None:
+    recipe = tmp_path / "mine.toml"
+    recipe.write_text(f'{PLAIN}\n[sets.other]\nlike = "train"\n[sets.other.options]\n{line}\n')
+    words = ["recipe", str(recipe), "--plan", "--scale", "tiny", "--out", str(tmp_path / "out")]
+    assert main(words) == 1
+    assert re.search(told, capsys.readouterr().err)
+
+
 def test_a_scale_without_a_set_is_refused(tmp_path: Path) -> None:
     text = Path(recipe_module.__file__).with_name("scales.toml").read_text()
     path = tmp_path / "scales.toml"
@@ -175,7 +199,13 @@ def test_the_guide_names_all_recipes_and_its_own_one_works(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("more", [[], ["--allow-code"]])
 @pytest.mark.parametrize(
-    "line", ['baselines = ["{}:X"]', '[variants.two]\ntitle = "T"\nmethod = "{}:X"']
+    "line",
+    [
+        'baselines = ["{}:X"]',
+        'protocols = ["{}:X"]',
+        '[variants.two]\ntitle = "T"\nmethod = "{}:X"',
+        '[sets.other]\nlike = "train"\noptions = {{ assets = "{}:X" }}',
+    ],
 )
 def test_a_recipe_runs_no_code_that_it_names(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], line: str
@@ -184,7 +214,7 @@ def test_a_recipe_runs_no_code_that_it_names(
     helper.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nclass X: pass\n")
     recipe = tmp_path / "mine.toml"
     text = PLAIN + "\n" + line.format(helper)
-    if line.startswith("baselines"):
+    if line.startswith(("baselines", "protocols")):
         text = line.format(helper) + PLAIN
     recipe.write_text(text)
     words = ["recipe", str(recipe), "--plan", "--scale", "tiny", "--out", str(tmp_path / "out")]

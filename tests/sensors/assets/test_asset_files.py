@@ -110,6 +110,30 @@ def test_folders_without_models(tmp_path: Path) -> None:
         open_source("folder", SourceOptions(root=tmp_path))
 
 
+def test_what_a_folder_without_meshes_of_the_split_has_is_told(tmp_path: Path) -> None:
+    (tmp_path / "mug").mkdir()
+    (tmp_path / "mug/a.dae").write_text("<COLLADA/>")
+    with pytest.raises(ToolkitError, match=r"mug/a\.dae: not a mesh format; .*as OBJ or GLB"):
+        open_source("folder", SourceOptions(root=tmp_path))
+    write_obj(tmp_path / "mug/a.obj", trimesh.creation.box((1, 2, 3)))
+    found = {}
+    for split in ("train", "test"):
+        try:
+            open_source("folder", SourceOptions(root=tmp_path, split=split))  # type: ignore[arg-type]
+        except ToolkitError as error:
+            found[split] = str(error)
+    assert len(found) == 1
+    assert ": 1 of the other split" in next(iter(found.values()))
+
+
+def test_a_mesh_at_the_end_of_the_numbers_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "mug/far.obj"
+    write_obj(path, trimesh.creation.box((1, 2, 3)).apply_translation([1e200, 0, 0]))
+    source = open_source("folder", SourceOptions(root=tmp_path, split="all"))
+    with pytest.raises(ToolkitError, match=r"far\.obj: .*implausibly far away"):
+        source.load("mug_far")
+
+
 def test_folder_by_subfolders(tmp_path: Path) -> None:
     write_obj(tmp_path / "mug" / "red.obj", trimesh.creation.box((1, 2, 3)))
     write_obj(tmp_path / "mug" / "blue" / "model.ply", trimesh.creation.icosphere(3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -46,6 +47,21 @@ def test_object_stands_in_the_middle_of_every_view(mesh_file: Path, tmp_path: Pa
         assert np.ptp(uv[:, 1]) > 250
     elevations = [np.rad2deg(np.arctan2(p.t[2], np.hypot(*p.t[:2]))) for p in table.poses]
     assert max(elevations[:5]) < min(elevations[5:])
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("seed", -1, "seed: must be at least 0"),
+        ("seed", 2**63, "seed: must be at most"),
+        ("elevations_deg", (1e308, 20.0), "elevations_deg: must be below 90"),
+        ("elevations_deg", (20.0, -30.0), "elevations_deg: must be at least 0"),
+        ("elevations_deg", (float("nan"), 20.0), "elevations_deg: must be at least 0"),
+    ],
+)
+def test_what_no_camera_can_do_is_refused(field: str, value: Any, words: str) -> None:
+    with pytest.raises(ToolkitError, match=words):
+        TurntableOptions(mesh=Path("a.obj"), out=Path("o"), **{field: value})
 
 
 def test_other_options_in_the_same_folder_are_refused(mesh_file: Path, tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ import jsonschema
 import numpy as np
 import pytest
 
+from sensors.simulation.equipment import Equipment
+from sensors.simulation.options import SimulationOptions
 from sensors.specs import load_sensor, names
 from sensors.specs.sensor import FOLDER, SCHEMA, SensorSpec, figures, schema_bytes
 from std_toolkit.errors import ToolkitError
@@ -125,6 +127,8 @@ def test_own_file(tmp_path: Path) -> None:
         ({"baseline_m": 50.0}, "baseline_m: .*< 1"),
         ({"baseline": 0.05}, "unknown field `baseline`"),
         ({"depth__range_m": [10, 0.1]}, "depth.range_m: near must be less than far"),
+        ({"depth__range_m": [0.1, 1e308]}, r"depth.range_m\[1\]: .*<= 1000"),
+        ({"depth__unit_m": 5e-324}, "depth.unit_m: .*>= 1e-06|depth.unit_m: .*0.000001"),
         ({"depth__noise_px": "low"}, "depth.noise_px: Expected `float`"),
         ({"projector__style": "stripes"}, "projector.style: Invalid enum value 'stripes'"),
         ({"T_ir_color": [1.0] * 16}, "T_ir_color"),
@@ -182,3 +186,15 @@ def test_d415_is_the_camera_of_the_real_pair(test_data: Path) -> None:
     assert spec.pose_of_color.t == pytest.approx(t, abs=1e-9)
     R = np.array([float(v) for v in block.split("Matrix:")[1].split()[:9]]).reshape(3, 3)
     assert abs(spec.pose_of_color.R - R).max() < 1e-5
+
+
+def test_a_file_runs_no_code_unless_allowed(tmp_path: Path) -> None:
+    code = tmp_path / "mine.py"
+    code.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    sensor = str(own(tmp_path, depth_model=f"{code}:Mine"))
+    with pytest.raises(ToolkitError, match=r"depth_model: .*names code.*--allow-code"):
+        Equipment.of(SimulationOptions(sensor=sensor))
+    assert not (tmp_path / "ran").exists()
+    with pytest.raises(ToolkitError, match="cannot import plug-in"):
+        Equipment.of(SimulationOptions(sensor=sensor, allow_code=True))
+    assert (tmp_path / "ran").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 import trimesh
 
 from std_toolkit.cli.main import main
+from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.doctor import Report, examine
+from std_toolkit.importers.importer import detect_format
 from std_toolkit.importers.options import ImportRequest
 from std_toolkit.io.images import write_color, write_png
 from std_toolkit.options import KnownCameras
@@ -93,3 +96,25 @@ def test_the_command(recording: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert main(["doctor", str(recording), "--json"]) == 0
     assert {"kind", "text"} == set(json.loads(capsys.readouterr().out)[0])
     assert main(["doctor", str(recording / "none")]) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("k.mkv", r"\.mkv files are not read; .*azure_kinect_mkv_reader"),
+        ("K.MKV", r"\.mkv files are not read"),
+        ("k.svo2", r"\.svo2 files are not read"),
+        ("k.mp4", r"\.mp4 files are not read; a video has no depth"),
+        ("k.dae", r"\.dae files are not read; .*as OBJ or GLB"),
+    ],
+)
+def test_a_file_of_another_program_is_named_with_what_to_do(
+    tmp_path: Path, name: str, words: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"\x1aE\xdf\xa3 K4A_COLOR_MODE")
+    report = examine(ImportRequest(source=path, name="k"))
+    assert [kind for kind, _ in report.rows] == ["refused"]
+    assert re.search(f"{name}: {words}", report.rows[0][1])
+    with pytest.raises(ToolkitError, match=words):
+        detect_format(path)

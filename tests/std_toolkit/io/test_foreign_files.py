@@ -151,9 +151,11 @@ def test_a_pipe_is_refused_at_once(tmp_path: Path, name: str) -> None:
         ("a=" + "[" * 5000 + "]" * 5000, "nested deeper than 40 levels"),
         ("a={b=" * 50 + "1" + "}" * 50, "nested deeper than 40 levels"),
         ("x=1\n" * 400_000, "implausibly large"),
+        ('[a]\nb = ["\\u001b[2J"]', r"a\.toml: a\.b\[0\]: holds a control character"),
+        ('"\\u0007" = 1', "holds a control character"),
     ],
 )
-def test_toml_that_would_take_gigabytes_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_toml_that_would_harm_is_refused(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "a.toml"
     path.write_text(text)
     with pytest.raises(ToolkitError, match=words):

@@ -130,3 +130,21 @@ def test_a_board_may_be_smaller_than_a_millimetre(tmp_path: Path) -> None:
     path.write_text(json.dumps({"charuco": {**description, "marker_mm": 0}}))
     with pytest.raises(ToolkitError, match="positive number"):
         Board.read(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "side", "words"),
+    [
+        ("0", 0.0, "0: a tag has sides of 1 to 5000 mm"),
+        ("0", 1e308, "0: a tag has sides of 1 to 5000 mm"),
+        ("587", 20.0, "587: DICT_APRILTAG_36h11 has no tag of this id: its ids end at 586"),
+        ("-5", 20.0, r"the board has no tags \(got '-5'\)"),
+    ],
+)
+def test_a_tag_that_nobody_can_print_is_named(
+    tmp_path: Path, key: str, side: float, words: str
+) -> None:
+    path = tmp_path / "board.json"
+    path.write_text(json.dumps({key: [[0, 0, 0], [side, 0, 0], [side, side, 0], [0, side, 0]]}))
+    with pytest.raises(ToolkitError, match=words):
+        Board.read(path)

@@ -94,3 +94,15 @@ def test_a_printed_middle_leaves_the_tags_their_white_gap(tmp_path: Path, middle
     assert Board.read(description).tags == Board.read(write_board_pdf(tmp_path / "w.pdf")[1]).tags
     assert b"lay flat, object here" in pdf.read_bytes()
     assert b"AprilTag 36h11, ids 0 to 23" in pdf.read_bytes()
+
+
+def test_a_file_of_the_user_beside_the_pdf_is_not_replaced(tmp_path: Path) -> None:
+    mine = tmp_path / "b.json"
+    mine.write_text('{"mine": 1}')
+    with pytest.raises(ToolkitError, match=r"b\.json: --out: is no description of a board"):
+        write_board_pdf(tmp_path / "b.pdf")
+    assert mine.read_text() == '{"mine": 1}' and not (tmp_path / "b.pdf").exists()
+    mine.unlink()
+    write_board_pdf(tmp_path / "b.pdf")
+    write_board_pdf(tmp_path / "b.pdf", first_id=24)
+    assert Board.read(mine).tags[0][0] == 24
