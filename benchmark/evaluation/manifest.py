@@ -67,6 +67,8 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
         probes: what the method was run again for: `holes`, `color`.
         limits: of `std-restore` and of metrics that differ from the defaults, by name.
+        backend: what ran the networks of `std-restore`: `onnx` or `torch`; empty for other methods,
+            whose networks torch runs.
     """
 
     protocol: Name
@@ -76,6 +78,7 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     released_loader: Count = 0
     probes: list[str] = []
     limits: dict[str, float] = {}
+    backend: Literal["", "onnx", "torch"] = ""
 
 
 class _Run(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.field.layered_depth import LAYERS, OrderedPhoto
+from benchmark.data.prediction_files import names_in
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.foreign_files import read_npy
 from std_toolkit.io.images import read_depth
@@ -151,7 +152,8 @@ def list_predictions(folder: Path, layers: str, *, inverse: bool) -> OrderPredic
     """
     if not folder.is_dir():
         raise ToolkitError("no such folder", path=folder)
-    named = [(path, m) for path in sorted(folder.iterdir()) if (m := _FILE.fullmatch(path.name))]
+    names = sorted(names_in(folder))
+    named = [(folder / name, m) for name in names if (m := _FILE.fullmatch(name))]
     if not named:
         raise ToolkitError("no .png or .npy of predictions", path=folder)
     numbers = {int(m[2]) for _, m in named if m[2]}

@@ -17,6 +17,7 @@ from typing import Literal
 
 import msgspec
 
+from benchmark.data.prediction_files import names_in
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.io.documents import decode_document, digest_bytes
@@ -155,8 +156,8 @@ def _photo(
 
 def _files(root: Path) -> Iterator[tuple[str, bytes, Path]]:
     """Names, contents, and the files that they are in."""
-    for place in (root, *sorted(p for p in root.iterdir() if p.is_dir())):
-        for path in sorted(place.iterdir(), key=lambda p: natural_key(p.name)):
+    for place in (root, *sorted(p for p in map(root.joinpath, names_in(root)) if p.is_dir())):
+        for path in (place / name for name in sorted(names_in(place), key=natural_key)):
             if path.name.endswith((_IMAGE, _TUPLES)):
                 yield path.name, read_regular(path, "file", _LARGEST_FILE), path
             elif path.suffix == ".tar":

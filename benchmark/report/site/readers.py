@@ -154,7 +154,8 @@ def _depth(folders: Sequence[Path]) -> Iterator[Entry]:
         ).set_index("subset")
         means = means[means["frames"] > 0]
         figures = {s: _of_row(means.loc[s], BOARD) for s in wanted if s in means.index}
-        extra = {"depth from": setup.depth_from} if setup.depth_from else {}
+        said = {"depth from": setup.depth_from, "networks run by": setup.backend}
+        extra = {name: text for name, text in said.items() if text}
         yield Entry(
             board=_board(result, "depth restoration", setup.split, setup.protocol,
                          setup.frames_sha256),
