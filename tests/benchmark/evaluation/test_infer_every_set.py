@@ -16,10 +16,10 @@ import pytest
 
 from benchmark.cli.bench import main
 from benchmark.data.splits import open_split
+from benchmark.evaluation.config import BenchJobs
 from benchmark.evaluation.query_options import VerifyOptions
 from benchmark.evaluation.results import TABLE
 from benchmark.evaluation.verify import verify
-from std_toolkit.jobs import JobOptions
 from tests.benchmark.data import field_sets, todd_sets
 from tests.benchmark.data.stereo_set import write_stereo_scene
 from tests.benchmark.data.test_gn_trans_set import write_gn_trans
@@ -85,7 +85,7 @@ def test_a_folder_of_a_program_is_scored_and_verified(
     assert main(["depth", "--method", f"mine={todo / 'predictions'}", *words, *more]) == 0
     table = pd.read_parquet(out / split / "mine" / protocol / TABLE)
     assert (table["error"] == "").all() and np.isfinite(table["rmse"]).any()
-    jobs = JobOptions(engine="serial", progress=False)
-    (run,) = verify(VerifyOptions(results=(out,), data=(str(root),), jobs=jobs)).runs  # type: ignore[arg-type]
+    jobs = BenchJobs(engine="serial", progress=False)
+    (run,) = verify(VerifyOptions(results=(out,), data=(str(root),), jobs=jobs)).runs
     assert run.holds and run.grade == "recomputed", run.lines()
     assert any("equal to the last bit" in check.about for check in run.checks)

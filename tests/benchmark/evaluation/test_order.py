@@ -16,6 +16,7 @@ import pytest
 
 from benchmark.cli.bench import main
 from benchmark.data.splits import splits
+from benchmark.evaluation.config import BenchJobs
 from benchmark.evaluation.query_options import OrderOptions, VerifyOptions
 from benchmark.evaluation.tasks.order_run import ORDERS, ScoredOrder, score_order
 from benchmark.evaluation.verify import verify
@@ -244,7 +245,8 @@ def test_results_are_verified_and_stand_on_the_site(tmp_path: Path) -> None:
     for name in ("good", "half", "poor"):
         kept(tmp_path, name)
     results = tmp_path / "results"
-    options = VerifyOptions(results=(results,), data=(str(tmp_path / "data"),))
+    jobs = BenchJobs(engine="serial", progress=False)
+    options = VerifyOptions(results=(results,), data=(str(tmp_path / "data"),), jobs=jobs)
     done = verify(options)
     grades = {run.title.split()[0]: (run.holds, run.grade) for run in done.runs}
     assert grades == dict.fromkeys(("good", "half", "poor"), (True, "recomputed"))
