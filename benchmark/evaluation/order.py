@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,8 @@ from std_toolkit.io.images import read_depth
 
 # In the place of a layer: all tuples of a size.
 ALL = "all"
-_NUMBERS: dict[str, dict[int, int]] = {
+Counting = Literal["odd", "counted"]
+_NUMBERS: dict[Counting, dict[int, int]] = {
     "odd": {layer: layer for layer in LAYERS},
     "counted": dict(enumerate(LAYERS)),
 }
@@ -42,7 +44,7 @@ class OrderPredictions:
     """
 
     files: Mapping[tuple[str, int], Path]
-    counted_as: str
+    counted_as: Counting
     inverse: bool
 
     def files_of(self, key: str) -> dict[int, Path]:
@@ -139,7 +141,9 @@ def _depth_at(
     return None if np.isnan(found) else found
 
 
-def list_predictions(folder: Path, layers: str, *, inverse: bool) -> OrderPredictions:
+def list_predictions(
+    folder: Path, layers: Literal["auto", "odd", "counted"], *, inverse: bool
+) -> OrderPredictions:
     """List the files of a folder by photo and layer.
 
     Args:

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.data.field.layered_depth import (
     LAYERS,
@@ -47,7 +48,8 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.io.documents import read_document
 
-DATA, ORDERS = "layered-depth", "order.parquet"
+DATA: Literal["layered-depth"] = "layered-depth"
+ORDERS = "order.parquet"
 # Columns of a row beside those of every table: size and layer of the tuples, and their numbers.
 TUPLES, LAYER, ASKED, RIGHT, LEFT_OUT = "tuples", "layer", "asked", "right", "left_out"
 _ORDER = [(size, layer) for size in SIZES for layer in (*map(str, LAYERS), "mixed", ALL)]
@@ -79,8 +81,8 @@ class OrderRun(TaskRun[OrderData, None]):
     data: Path
     predictions: Path
     subset: Subset
-    layers: str
-    npy: str
+    layers: Literal["auto", "odd", "counted"]
+    npy: Literal["inverse", "depth"]
     label: str
     out: Path
     only: tuple[str, ...] = ()
@@ -162,7 +164,8 @@ def _key(photo: OrderedPhoto) -> FrameKey:
 def _rows(data: OrderData, index: int) -> list[dict[str, Any]]:
     photo = data.photos[index]
     scene, name = _key(photo)
-    error, layers = "", None
+    error = ""
+    layers: dict[int, NDArray[np.float64]] | None = None
     try:
         layers = data.predictions.layers(photo)
     except ToolkitError as wrong:
