@@ -87,14 +87,14 @@ def infer_list(options: InferListOptions) -> int:
 
 def order_points(options: OrderOptions) -> int:
     """Score the order of points; returns the exit status."""
-    from benchmark.evaluation.order import order_table, score_order
+    from benchmark.evaluation.tasks.order_run import order_table, score_order
 
-    record = score_order(options)
+    scored = score_order(options)
     if options.json:
-        print_json(record)
-    else:
-        print(order_table(record).terminal())
-    return 0
+        print_json(scored.record)
+    elif scored.record.scores:
+        print(order_table(scored.record).terminal())
+    return report_failures(scored.campaign.failed) or int(scored.campaign.failed_frames > 0)
 
 
 def self_test(options: SelfTestOptions) -> int:

@@ -112,7 +112,7 @@ def data_digest(content: pd.DataFrame) -> str:
 
 def answers_digest(content: pd.DataFrame) -> str:
     """Return one digest of all saved answers that were read; "" without any."""
-    rows = content[content[CONTENT].str.startswith(_SAVED) & (content[DIGEST] != "")]
+    rows = content[are_answers(content) & (content[DIGEST] != "")]
     values = rows[[SCENE, FRAME, CONTENT, DIGEST]].to_numpy().tolist()
     return digest_of(values, versioned=False) if values else ""
 
@@ -147,8 +147,13 @@ def is_same_data(one: pd.DataFrame, two: pd.DataFrame) -> bool:
     return bool(len(both) and (both[f"{DIGEST}_one"] == both[f"{DIGEST}_two"]).all())
 
 
+def are_answers(content: pd.DataFrame) -> pd.Series:
+    """Return whether each row is an answer of a method, and no part of the data set."""
+    return content[CONTENT].str.startswith(_SAVED)
+
+
 def _of_data(content: pd.DataFrame) -> pd.DataFrame:
-    return content[~content[CONTENT].str.startswith(_SAVED)]
+    return content[~are_answers(content)]
 
 
 def groups_of(tables: Sequence[pd.DataFrame | None]) -> list[int]:

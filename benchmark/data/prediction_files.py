@@ -48,6 +48,19 @@ def _entries(folder: Path) -> Iterator[Iterator[Any]]:
         raise ToolkitError(f"cannot read the folder: {error.strerror}", path=folder) from error
 
 
+def names_in(folder: Path) -> list[str]:
+    """Return the names in a folder of predictions, in the order of the disk.
+
+    Raises:
+        ToolkitError: the folder cannot be read, or has more names than any data set.
+        FileNotFoundError, NotADirectoryError: there is no such folder.
+    """
+    with _entries(folder) as entries:
+        names = [entry.name for entry in islice(entries, _MOST_NAMES + 1)]
+    _check_count(names, _MOST_NAMES, folder, "files")
+    return names
+
+
 @dataclass(frozen=True)
 class FrameFiles:
     """A folder of predictions.
@@ -130,10 +143,9 @@ class FrameFiles:
 
     def _names_in(self, folder: Path) -> frozenset[str]:
         if folder not in self._listed:
-            names = []
-            with suppress(FileNotFoundError, NotADirectoryError), _entries(folder) as entries:
-                names = [entry.name for entry in islice(entries, _MOST_NAMES + 1)]
-            _check_count(names, _MOST_NAMES, folder, "files")
+            names: list[str] = []
+            with suppress(FileNotFoundError, NotADirectoryError):
+                names = names_in(folder)
             self._listed[folder] = frozenset(names)
         return self._listed[folder]
 

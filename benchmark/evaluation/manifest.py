@@ -4,7 +4,7 @@ import platform
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -25,6 +25,8 @@ GRASP_MANIFEST = "grasp.json"
 DUMP_MANIFEST = "grasp_dump.json"
 
 POSE_MANIFEST = "pose.json"
+
+ORDER_MANIFEST = "order.json"
 
 BOP_MANIFEST, BOP_FILE = "bop_run.json", "bop.json"
 
@@ -65,6 +67,8 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
         released_loader: batch size of the authors' loader, if frames are read as it does; else 0.
         probes: what the method was run again for: `holes`, `color`.
         limits: of `std-restore` and of metrics that differ from the defaults, by name.
+        backend: what ran the networks of `std-restore`: `onnx` or `torch`; empty for other methods,
+            whose networks torch runs.
     """
 
     protocol: Name
@@ -74,6 +78,7 @@ class Setup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):
     released_loader: Count = 0
     probes: list[str] = []
     limits: dict[str, float] = {}
+    backend: Literal["", "onnx", "torch"] = ""
 
 
 class _Run(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -245,6 +250,40 @@ class DumpManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     setup: DumpSetup
     root: str
     dump: str
+
+
+class OrderSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fields that determine the table of a run; a run resumes only if they are unchanged.
+
+    Attributes:
+        split: `layered-depth`.
+        subset: `layer_first` or `layer_all`.
+        frames: number of photos.
+        frames_sha256: SHA-256 hash of their names.
+        layers: how files count layers: `odd` (1, 3, 5, 7) or `counted` (0, 1, 2, 3).
+        npy: what .npy holds: `inverse` depth, or `depth`.
+    """
+
+    split: Literal["layered-depth"]
+    subset: Literal["layer_first", "layer_all"]
+    frames: Count
+    frames_sha256: str
+    layers: Literal["odd", "counted"]
+    npy: Literal["inverse", "depth"]
+
+
+class OrderManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Setup and environment of a run; the environment is informative only.
+
+    Attributes:
+        label: name of the predictions in tables.
+        root, predictions: folders of the photos and of the predictions.
+    """
+
+    label: Name
+    setup: OrderSetup
+    root: str
+    predictions: str
 
 
 class PoseSetup(_Frames, frozen=True, kw_only=True, forbid_unknown_fields=True):

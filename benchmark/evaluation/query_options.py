@@ -83,13 +83,15 @@ class InferListOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrderOptions:
+class OrderOptions(TaskConfig):
     """Score the order of points on layers of glass, on LayeredDepth's validation photos.
 
     The set has no depth but the order of points: its scores stand apart from all others. Folders of
     predictions have KEY_LAYER.png, 16 bit, or .npy, or KEY.png of the first layer alone. Without
     predictions, what of the set is there is counted.
     """
+
+    task = "order"
 
     data: Path = field(metadata={"option": "data"})
     """folder of the photos and tuples, unpacked or in *.tar"""
@@ -101,11 +103,18 @@ class OrderOptions:
     """how files count layers: 1, 3, 5, 7 (odd), or 0, 1, 2, 3 (counted); auto: as they tell"""
     npy: Literal["inverse", "depth"] = "inverse"
     """what .npy holds: inverse depth, as in the authors' program, or depth"""
-    json: bool = False
-    """print JSON"""
+    out: Path | None = field(
+        default=None,
+        metadata={"option": "out", "writes": Writes("results", ("layered-depth",))},
+    )
+    """folder of results for `std-report` and `verify`, which the same command goes on with (scores
+    are printed and not kept)"""
+    jobs: BenchJobs = field(default_factory=lambda: BenchJobs(engine="serial"))
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
+        if self.out and not self.predictions:
+            raise ToolkitError("needs predictions", field="out", hint="--predictions NAME=DIR")
 
     @property
     def folders(self) -> dict[str, Path]:

@@ -23,6 +23,15 @@ from benchmark.evaluation.results import ERROR, FRAME, NOT_FINITE, SCENE, UNREAD
 from benchmark.evaluation.tasks.bop import BopRun, digest_of_results
 from benchmark.evaluation.tasks.depth import Run
 from benchmark.evaluation.tasks.depth_results import OVER_ALL, OVER_ANSWERED, RunResult
+from benchmark.evaluation.tasks.order_run import (
+    ASKED,
+    LAYER,
+    LEFT_OUT,
+    RIGHT,
+    TUPLES,
+    OrderResult,
+    OrderRun,
+)
 from benchmark.evaluation.tasks.pose import Methods, PoseFrame, PoseRun
 from benchmark.evaluation.tasks.pose_results import PoseResult
 from benchmark.evaluation.tasks.pose_table import (
@@ -294,6 +303,35 @@ def remake_poses(result: PoseResult, source: Source, keys: Sequence[FrameKey]) -
     found = found[found[KIND] == TRUE]
     keys_of_row = (SCENE, FRAME, "mask_id")
     return Remade("recomputed", "predictions of the table", found, keys_of_row, _OF_TRUTH, content)
+
+
+def remake_order(result: OrderResult, source: Source, keys: Sequence[FrameKey]) -> Remade:
+    """Score predictions of some photos of LayeredDepth again.
+
+    Raises:
+        CannotRemake: the predictions are not there, or the run asks for a rerun.
+        ToolkitError: data are missing or damaged.
+    """
+    manifest, setup = result.manifest, result.manifest.setup
+    if source.rerun:
+        raise CannotRemake("only depth methods are run again")
+    folder = source.predictions.get(manifest.label, Path(manifest.predictions))
+    if not folder.is_dir():
+        raise CannotRemake(
+            "the folder of predictions is not there", path=folder,
+            hint=f"--predictions {manifest.label}=DIR",
+        )  # fmt: skip
+    with TemporaryDirectory() as place:
+        run = OrderRun(
+            data=source.root, predictions=folder, subset=setup.subset, layers=setup.layers,
+            npy=setup.npy, label=manifest.label, out=Path(place),
+            only=tuple(key.scene for key in keys),
+        )  # fmt: skip
+        found = run_task(run, source.jobs)
+        content = read_table(run.folder / CONTENT_FILE)
+    of = f"predictions in {folder}"
+    keys_of_row = (SCENE, FRAME, TUPLES, LAYER)
+    return Remade("recomputed", of, found, keys_of_row, (ASKED, RIGHT, LEFT_OUT), content)
 
 
 def remake_bop(manifest: Any, source: Source) -> tuple[Remade, Any]:

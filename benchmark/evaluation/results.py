@@ -42,7 +42,7 @@ INDEX, SCENE, FRAME = "index", "scene", "frame"
 # Columns of text; all others hold numbers.
 _TEXTS = {
     SCENE, FRAME, "content", "digest", "error", "grid", "subset", "kind", "fate", "outcome",
-    "model",
+    "model", "tuples", "layer",
 }  # fmt: skip
 
 _LONGEST_NAME = 1000
@@ -54,7 +54,8 @@ ERROR = "error"  # why the frame or the method failed; empty otherwise
 NOT_FINITE = "not_finite"  # pixels of the prediction that are NaN or infinite
 
 # Columns of counts in any table; others hold -1 where a row has none.
-_COUNTS = (INDEX, NOT_FINITE, "n_pixels", "n_answered", "pixels", "held", "lost")
+_COUNTS = (INDEX, NOT_FINITE, "n_pixels", "n_answered", "pixels", "held", "lost", "asked", "right",
+           "left_out")  # fmt: skip
 
 # Columns of a frame that could not be read: no grid, and integers so that the columns keep their
 # type.

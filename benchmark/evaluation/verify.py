@@ -1,7 +1,6 @@
 """`std-bench verify`: which figures of results hold, by their files alone and with the data."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,6 @@ from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.manifest import (
     BOP_FILE,
     BOP_MANIFEST,
-    DUMP_MANIFEST,
-    GRASP_MANIFEST,
-    MANIFEST,
-    POSE_MANIFEST,
     BopManifest,
     circumstances,
 )
@@ -25,16 +20,13 @@ from benchmark.evaluation.results import (
     FRAME,
     INDEX,
     SCENE,
-    TABLE,
     Result,
-    finished_folders,
     read_known,
     read_table,
 )
-from benchmark.evaluation.tasks import bop_results, depth_results, grasp_results, pose_results
-from benchmark.evaluation.tasks.grasp_dump import PRECISIONS, read_dump_run
-from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
-from benchmark.evaluation.tasks.pose_table import POSES
+from benchmark.evaluation.run_kinds import BOP, KINDS, RunKind
+from benchmark.evaluation.tasks import bop_results, depth_results, pose_results
+from benchmark.evaluation.tasks.order_run import OrderResult
 from benchmark.evaluation.values import data_of, roots_of
 from benchmark.evaluation.verification import (
     Check,
@@ -42,7 +34,6 @@ from benchmark.evaluation.verification import (
     Grade,
     Verification,
     VerifiedRun,
-    run_digest,
 )
 from benchmark.evaluation.verify_checks import (
     check,
@@ -61,23 +52,6 @@ from std_toolkit.io.documents import read_document
 from std_toolkit.log import logger
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """A kind of run: its files, how it is read, and how its rows are made again."""
-
-    manifest: str
-    table: str
-    read: Callable[[Path], Any]
-
-
-_KINDS = (
-    _Kind(MANIFEST, TABLE, depth_results.read_run),
-    _Kind(POSE_MANIFEST, POSES, pose_results.read_pose_run),
-    _Kind(GRASP_MANIFEST, ATTEMPTS, grasp_results.read_grasp_run),
-    _Kind(DUMP_MANIFEST, PRECISIONS, read_dump_run),
-)
-
-
 def verify(options: VerifyOptions) -> Verification:
     """Check every run below some folders of results.
 
@@ -89,25 +63,19 @@ def verify(options: VerifyOptions) -> Verification:
     """
     found = []
     for top in options.results:
-        runs = list(_runs(top))
+        runs = [(kind, folder) for kind in KINDS for folder in kind.folders(top)]
         if not runs:
             raise ToolkitError("no finished run of std-bench here", path=top)
         for kind, folder in runs:
-            done = _verify_bop(folder, top, options) if kind is None else None
-            found.append(done or _verify_run(kind, folder, top, options))  # type: ignore[arg-type]
+            if kind is BOP:
+                found.append(_verify_bop(folder, top, options))
+            else:
+                found.append(_verify_run(kind, folder, top, options))
             logger.info("%s", found[-1].lines()[0])
     return Verification(runs=found, **circumstances())
 
 
-def _runs(top: Path) -> Iterator[tuple[_Kind | None, Path]]:
-    for kind in _KINDS:
-        for folder in finished_folders(top, kind.manifest, kind.table):
-            yield kind, folder
-    for path in sorted(top.rglob(BOP_MANIFEST)):
-        yield None, path.parent
-
-
-def _verify_run(kind: _Kind, folder: Path, top: Path, options: VerifyOptions) -> VerifiedRun:
+def _verify_run(kind: RunKind, folder: Path, top: Path, options: VerifyOptions) -> VerifiedRun:
     result = kind.read(folder)
     checks = [*check_files(result), *check_leaderboard(result, top)]
     figures: list[CheckedFigure] = []
@@ -129,16 +97,15 @@ def _verify_run(kind: _Kind, folder: Path, top: Path, options: VerifyOptions) ->
             checks += check_setup(result, remade)
             figures = compare_figures(result, stored, remade)
             grade = remade.grade
-    return _verified(result.title, folder, top, kind.manifest, kind.table, checks,
-                     figures=figures, grade=grade, frames=frames, of=result.frames)  # fmt: skip
+    return _verified(result.title, kind, folder, top, checks, figures=figures, grade=grade,
+                     frames=frames, of=result.frames)  # fmt: skip
 
 
 def _verified(
     title: str,
+    kind: RunKind,
     folder: Path,
     top: Path,
-    manifest: str,
-    table: str,
     checks: list[Check],
     *,
     figures: list[CheckedFigure],
@@ -150,7 +117,7 @@ def _verified(
     return VerifiedRun(
         title=title,
         folder=str(folder.relative_to(top)),
-        digest=run_digest(folder, manifest, table),
+        digest=kind.digest(folder),
         grade=grade if holds else "reported",
         frames=frames,
         of=of,
@@ -163,15 +130,17 @@ def _remake(result: Result[Any], options: VerifyOptions) -> tuple[recompute.Rema
     """Rows made again, and the frames that they are of."""
     setup = result.manifest.setup
     split = getattr(setup, "split", "")
-    if not isinstance(result, depth_results.RunResult | pose_results.PoseResult):
+    remakes: dict[type, Callable[..., recompute.Remade]] = {
+        depth_results.RunResult: recompute.remake_depth,
+        pose_results.PoseResult: recompute.remake_poses,
+        OrderResult: recompute.remake_order,
+    }
+    remake = remakes.get(type(result))
+    if remake is None:
         raise recompute.CannotRemake("grasps are not scored again")
     keys = frame_keys(result.table)
     keys = [keys[i] for i in chosen_frames(len(keys), options.sample)]
-    source = _source(split, options)
-    if isinstance(result, depth_results.RunResult):
-        remade = recompute.remake_depth(result, source, keys)
-    else:
-        remade = recompute.remake_poses(result, source, keys)
+    remade = remake(result, _source(split, options), keys)
     return remade, pd.DataFrame(keys, columns=[SCENE, FRAME])
 
 
@@ -222,12 +191,11 @@ def _verify_bop(folder: Path, top: Path, options: VerifyOptions) -> VerifiedRun:
             grade = remade.grade
             figures = [
                 compare_figure(name, "all", *(_percent(getattr(r, name)) for r in (printed, found)))
-                for name in ("ar", "ar_vsd", "ar_mssd", "ar_mspd", "ap")
+                for name in bop_results.SHOWN
             ]
     title = f"{setup.results} on {setup.data}, {setup.split}"
-    return _verified(title, folder, top, BOP_MANIFEST, bop_results.ERRORS, checks,
-                     figures=figures, grade=grade, frames=images if figures else 0,
-                     of=images)  # fmt: skip
+    return _verified(title, BOP, folder, top, checks, figures=figures, grade=grade,
+                     frames=images if figures else 0, of=images)  # fmt: skip
 
 
 def _percent(share: float | None) -> str:

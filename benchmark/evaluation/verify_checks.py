@@ -1,6 +1,7 @@
 """What `std-bench verify` looks at: the files of a run, and its rows beside those made again."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,14 @@ import pandas as pd
 from benchmark.data.identity import (
     CONTENT,
     DIGEST,
-    SAVED_DEPTH,
-    SAVED_GRASPS,
+    are_answers,
     data_digest,
     tell_changes,
 )
 from benchmark.data.splits import FrameKey, names_digest
 from benchmark.evaluation.recompute import Remade
 from benchmark.evaluation.results import ERROR, FRAME, INDEX, SCENE, Result, check_columns
-from benchmark.evaluation.tasks import depth_results, pose_results
+from benchmark.evaluation.tasks import depth_results, order_run, pose_results
 from benchmark.evaluation.tasks.pose_table import KIND, TRUE
 from benchmark.evaluation.verification import Check, CheckedFigure, State
 from benchmark.methods.registry import JOINED, joined_digest, shipped_file
@@ -139,13 +139,15 @@ def check_content(result: Result[Any], remade: Remade, chosen: pd.DataFrame) -> 
     if then is None:
         return
     then = then.merge(chosen, on=[SCENE, FRAME])
-    answers = then[CONTENT].isin([SAVED_DEPTH, SAVED_GRASPS])
+    answers = are_answers(then)
     for name, is_answer in (("data", False), ("predictions", True)):
         old = then[answers == is_answer]
         if old.empty:
             continue
-        names = remade.content[CONTENT].isin([SAVED_DEPTH, SAVED_GRASPS])
-        new = remade.content[names == is_answer]
+        new = remade.content[are_answers(remade.content) == is_answer]
+        if is_answer and new.empty:  # as poses, which are in the table
+            yield check(name, "not checked", "their files were not read again")
+            continue
         both = old.merge(new, on=[SCENE, FRAME, CONTENT], how="left", suffixes=("", "_now"))
         other = both[both[DIGEST] != both[f"{DIGEST}_now"].fillna("")]
         about = f"{len(old):,} files of {len(chosen):,} frames have the digests of the run"
@@ -211,6 +213,8 @@ def compare_figures(
     """Figures as printed, of the stored rows and of those made again."""
     if isinstance(result, pose_results.PoseResult):
         return _pose_figures(result, stored, remade)
+    if isinstance(result, order_run.OrderResult):
+        return _order_figures(result, stored, remade)
     protocol = result.manifest.setup.protocol
     if protocol not in protocols.names():
         return []
@@ -226,6 +230,19 @@ def compare_figures(
         for subset in means[0].index
         for column in _PRINTED
     ]  # fmt: skip
+
+
+def _order_figures(
+    result: order_run.OrderResult, stored: pd.DataFrame, remade: Remade
+) -> list[CheckedFigure]:
+    then, now = (
+        {(s.tuples, s.layer): f"{100 * s.right / s.count:.2f}" for s in one.scores if s.count}
+        for one in (replace(result, table=table) for table in (stored, remade.table))
+    )
+    return [
+        compare_figure(f"{size} [%]", layer, text, now.get((size, layer), "-"))
+        for (size, layer), text in then.items()
+    ]
 
 
 def _pose_figures(

@@ -12,6 +12,7 @@ from benchmark.evaluation.manifest import (
     DUMP_MANIFEST,
     GRASP_MANIFEST,
     MANIFEST,
+    ORDER_MANIFEST,
     POSE_MANIFEST,
 )
 from benchmark.evaluation.query_options import AUDIT_FILE
@@ -76,6 +77,7 @@ TASKS = (
     ReportTask(BOP_FILE, "benchmark.report.parts.pose:bop_part"),
     ReportTask(GRASP_MANIFEST, "benchmark.report.parts.grasp:grasp_part"),
     ReportTask(DUMP_MANIFEST, "benchmark.report.parts.grasp_dump:dump_part"),
+    ReportTask(ORDER_MANIFEST, "benchmark.report.parts.order:order_part"),
     ReportTask(AUDIT_FILE, "benchmark.report.parts.audit:audit_part"),
 )
 

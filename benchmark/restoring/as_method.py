@@ -33,6 +33,7 @@ class ByDefault:
     Attributes:
         weights: files of the networks that it ran.
         network, device, parameter_count: of the networks, where torch runs them.
+        backend: what runs them, `onnx` or `torch`.
 
     Raises:
         ToolkitError: weights or a precision other than those of `std-restore`, an unknown setting,
@@ -64,7 +65,8 @@ class ByDefault:
         inner = [self._restorer.method]
         if where != "everywhere":
             inner.append(self._restorer.finder())
-        if any(hasattr(part, "network") for part in inner):  # of torch, which may use a GPU
+        self.backend = "torch" if any(hasattr(part, "network") for part in inner) else "onnx"
+        if self.backend == "torch":  # which may use a GPU
             self.network = [getattr(part, "network", None) for part in inner]
             self.device = getattr(inner[0], "device", None)
             self.parameter_count = sum(getattr(part, "parameter_count", 0) for part in inner)

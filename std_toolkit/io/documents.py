@@ -113,6 +113,11 @@ def digest_file(path: Path) -> str:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
+def digest_bytes(data: bytes) -> str:
+    """Return the hex digest of content in memory: that of a file of it."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
+
+
 def digest_files(root: Path, paths: Iterable[Path]) -> dict[str, str]:
     """Return the digest of each file by its path relative to `root`; "" if there is no file."""
     return {

@@ -236,7 +236,7 @@ PHOCAL = {s.name: s for s in (_phocal("train"), _phocal("test"))}
 HOUSECAT = {s.name: s for s in (_housecat("train", 34), _housecat("val", 2), _housecat("test", 5))}
 
 
-def _nocs(data: NocsSet, part: str, about: str, published: tuple[Published, ...]) -> Split:
+def _nocs(data: NocsSet, part: str, about: str) -> Split:
     name = f"{'real275' if data == 'Real' else 'camera25'}-{part}"
     scene = "scene_1" if data == "Real" else "00000"
     models = f"real_{part}/NAME.obj" if data == "Real" else f"{part}/SYNSET/MODEL/model.obj"
@@ -251,7 +251,6 @@ def _nocs(data: NocsSet, part: str, about: str, published: tuple[Published, ...]
         layout=f"ROOT/{data}/{part}/{scene}/0000_color.png, _depth.png, _mask.png, _coord.png, "
         f"_meta.txt, ROOT/obj_models/{models}",
         page="https://github.com/hughw19/NOCS_CVPR2019",
-        published=published,
         card=(
             "for poses: no pair of raw and true depth is published",
             "truth: rendered from the meshes at the labels, on masks; objects only; its error is "
@@ -260,6 +259,7 @@ def _nocs(data: NocsSet, part: str, about: str, published: tuple[Published, ...]
             "scored by the authors: poses and boxes of six classes; laptops are read and, as the "
             "benchmark has no such class, not scored",
             "materials are not filed",
+            "numbers of frames: no source here states them, so what is complete is not known",
             *(("third parties miss files of 3,792 frames of val",) if part == "val" else ()),
             *(
                 ()
@@ -274,15 +274,12 @@ def _nocs(data: NocsSet, part: str, about: str, published: tuple[Published, ...]
 NOCS = {
     split.name: split
     for split in (
-        _nocs("Real", "test", "real, six classes, new instances",
-              (Published("paper", 2750, 6),)),
-        _nocs("Real", "train", "real, six classes, training", (Published("paper", 4300, 7),)),
-        _nocs("CAMERA", "val", "synthetic objects on real tables, six classes, CAMERA25",
-              (Published("paper", 25_000),)),
-        _nocs("CAMERA", "train", "synthetic objects on real tables, six classes, training",
-              (Published("paper", 275_000),)),
+        _nocs("Real", "test", "real, six classes, new instances"),
+        _nocs("Real", "train", "real, six classes, training"),
+        _nocs("CAMERA", "val", "synthetic objects on real tables, six classes, CAMERA25"),
+        _nocs("CAMERA", "train", "synthetic objects on real tables, six classes, training"),
     )
-}  # fmt: skip
+}
 
 ROBI = _split(
     lambda root: open_robi("robi-ensenso", root),

@@ -17,9 +17,10 @@ from typing import Literal
 
 import msgspec
 
+from benchmark.data.prediction_files import names_in
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.foreign_files import natural_key
-from std_toolkit.io.documents import decode_document
+from std_toolkit.io.documents import decode_document, digest_bytes
 from std_toolkit.io.image_header import header_of
 from std_toolkit.io.regular import MIB, open_regular_file, read_regular
 
@@ -79,12 +80,14 @@ class OrderedPhoto:
         tuples: by "pairs", "trips" and "quads"; those with a point outside the photo, or of a layer
             that there is not, are left out, as in the authors' program.
         left_out: how many those are.
+        digests: of the image and of the tuples, by content.
     """
 
     key: str
     size: tuple[int, int]
     tuples: dict[str, list[OrderedPoints]]
     left_out: int
+    digests: dict[str, str]
 
 
 def read_photos(root: Path, subset: Subset) -> list[OrderedPhoto]:
@@ -99,14 +102,19 @@ def read_photos(root: Path, subset: Subset) -> list[OrderedPhoto]:
     """
     sizes: dict[str, tuple[int, int]] = {}
     documents: dict[str, tuple[_Document, Path]] = {}
+    digests: dict[str, dict[str, str]] = {}
     for name, data, path in _files(root):
         key = Path(name).name
         if key.endswith(_IMAGE):
             header = header_of(data, path)  # images themselves are not kept
-            sizes[key.removesuffix(_IMAGE)] = header.width, header.height
+            key = key.removesuffix(_IMAGE)
+            sizes[key] = header.width, header.height
+            digests.setdefault(key, {})["image"] = digest_bytes(data)
         else:
             document = decode_document(data, _Document, path=path)
-            documents[key.removesuffix(_TUPLES)] = document, path
+            key = key.removesuffix(_TUPLES)
+            documents[key] = document, path
+            digests.setdefault(key, {})["tuples"] = digest_bytes(data)
     if not (sizes or documents):
         raise ToolkitError(
             "no photo of LayeredDepth is here", path=root,
@@ -117,12 +125,18 @@ def read_photos(root: Path, subset: Subset) -> list[OrderedPhoto]:
         if lacking:
             raise ToolkitError("the photo lacks a file", path=root, value=f"{lacking[0]}{ending}")
     return [
-        _photo(key, sizes[key], *documents[key], subset) for key in sorted(sizes, key=natural_key)
+        _photo(key, sizes[key], *documents[key], subset, digests[key])
+        for key in sorted(sizes, key=natural_key)
     ]
 
 
 def _photo(
-    key: str, size: tuple[int, int], document: _Document, path: Path, subset: Subset
+    key: str,
+    size: tuple[int, int],
+    document: _Document,
+    path: Path,
+    subset: Subset,
+    digests: dict[str, str],
 ) -> OrderedPhoto:
     filed: _Sizes | None = getattr(document, subset)
     if filed is None:
@@ -137,13 +151,13 @@ def _photo(
                    for x, y, layer in one.points)
         ]  # fmt: skip
         left_out += len(listed) - len(tuples[name])
-    return OrderedPhoto(key, size, tuples, left_out)
+    return OrderedPhoto(key, size, tuples, left_out, digests)
 
 
 def _files(root: Path) -> Iterator[tuple[str, bytes, Path]]:
     """Names, contents, and the files that they are in."""
-    for place in (root, *sorted(p for p in root.iterdir() if p.is_dir())):
-        for path in sorted(place.iterdir(), key=lambda p: natural_key(p.name)):
+    for place in (root, *sorted(p for p in map(root.joinpath, names_in(root)) if p.is_dir())):
+        for path in (place / name for name in sorted(names_in(place), key=natural_key)):
             if path.name.endswith((_IMAGE, _TUPLES)):
                 yield path.name, read_regular(path, "file", _LARGEST_FILE), path
             elif path.suffix == ".tar":

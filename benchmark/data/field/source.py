@@ -23,6 +23,7 @@ from std_toolkit.geometry.se3 import nearest_rotation
 from std_toolkit.importers.depth_files import read_foreign_depth
 from std_toolkit.importers.depth_survey import DepthSurveySettings
 from std_toolkit.io.images import image_size, read_color, read_depth, read_png
+from std_toolkit.log import logger
 
 # Files of a frame by content; those whose content is listed in `optional` may be missing.
 Files = dict[str, Path]
@@ -291,27 +292,45 @@ def pose_of(R: ArrayLike, t: ArrayLike, path: Path) -> SE3:
         raise ToolkitError(f"no pose: {error}", path=path) from error
 
 
-def unit_of_place(t: ArrayLike, path: Path) -> float:
+# Unit that was told of the places of each set in this process, and the file that told it.
+_told: dict[Path, tuple[float, Path]] = {}
+_UNITS = {1.0: "metres", 0.001: "millimetres"}
+
+
+def unit_of_place(t: ArrayLike, path: Path, data: Path) -> float:
     """Return the metres per number of a place before the camera, for sets that do not state it.
 
-    A depth camera sees from centimetres to metres: numbers below 10 are metres, above 50 mm.
+    A depth camera sees from centimetres to metres: numbers below 10 are metres, above 50 mm. The
+    unit is logged once for each set, and all files of a set have one.
 
     Args:
         t: x, y, z in the camera's frame, z forward.
         path: of the file, for errors.
+        data: folder of the set or of its sequence.
 
     Raises:
-        ToolkitError: behind the camera, or neither.
+        ToolkitError: behind the camera, neither, or another unit than earlier files of the set.
     """
     z = float(np.asarray(t, np.float64).ravel()[2])
-    if 0.01 < z < 10:
-        return 1.0
-    if 50 < z < 10_000:
-        return 0.001
-    raise ToolkitError(
-        "an object stands before the camera, in metres or in millimetres", path=path,
-        field="translation", value=f"z = {z:g}",
-    )  # fmt: skip
+    if not (0.01 < z < 10 or 50 < z < 10_000):
+        raise ToolkitError(
+            "an object stands before the camera, in metres or in millimetres", path=path,
+            field="translation", value=f"z = {z:g}",
+        )  # fmt: skip
+    unit = 1.0 if z < 10 else 0.001
+    if data not in _told:
+        _told[data] = unit, path
+        logger.warning(
+            "%s: the set does not state the unit of its poses; an object at z = %g of %s tells %s",
+            data, z, path.name, _UNITS[unit],
+        )  # fmt: skip
+    before, first = _told[data]
+    if unit != before:
+        raise ToolkitError(
+            f"a place in {_UNITS[unit]}, where {first.name} has {_UNITS[before]}", path=path,
+            field="translation", value=f"z = {z:g}",
+        )  # fmt: skip
+    return unit
 
 
 def render_objects(

@@ -96,7 +96,7 @@ class Todd(FieldFrames):
             if not (key.isdecimal() and (int(key) + 1) * _STEP < BACKGROUND):
                 raise ToolkitError("expected the number of an object", path=path, field=key)
             T = np.array(item.pose)
-            t = T[:3, 3] * unit_of_place(T[:3, 3], path)
+            t = T[:3, 3] * unit_of_place(T[:3, 3], path, Path(scene.path))
             found[(int(key) + 1) * _STEP] = pose_of(T[:3, :3], t, path)
         return dict(sorted(found.items()))
 

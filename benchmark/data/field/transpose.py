@@ -9,7 +9,8 @@
 <root>/models/NAME/NAME.obj
 
 The test part is downloaded as seq_test_NN/sequences/seq_test_NN/. The thermal images are not read.
-The unit of `tra` is not stated: it is told by how far the objects are.
+The unit of `tra` is not stated: it is told by how far the objects are, logged, and one in a
+sequence.
 
 Source: a loader for depth completion, a reader of poses, a converter to BOP and a program that
 aligns the thermal images, of four third parties; the authors published none. Not checked on the
@@ -128,7 +129,7 @@ class TRansPose(FieldFrames):
         path = Path(scene.path) / _CAMERA[self.side] / _FOLDERS[_LABELS].format(stem)
         found = {}
         for i, o in _objects(path).items():
-            t = np.array(o.tra) * unit_of_place(o.tra, path)
+            t = np.array(o.tra) * unit_of_place(o.tra, path, Path(scene.path))
             found[i] = pose_of(np.reshape(o.rot, (3, 3)), t, path)
         return found
 

@@ -28,6 +28,7 @@ from benchmark.evaluation.audit.record import (
 )
 from benchmark.evaluation.audit.rigid import Group, groups_of
 from benchmark.evaluation.audit.unseen import unseen
+from benchmark.evaluation.batches import chosen_frames
 from benchmark.evaluation.manifest import circumstances
 from benchmark.evaluation.query_options import AUDIT_FILE, AuditOptions
 from std_toolkit.errors import ToolkitError
@@ -65,8 +66,11 @@ def run_audit(options: AuditOptions) -> Audit:
             hint=", ".join(list(chosen)[:8]),
         )  # fmt: skip
     names = list(options.scenes or chosen)
-    work = [_Scene(name, tuple(_spread(chosen[name], options.frames)), len(chosen[name]))
-            for name in names]  # fmt: skip
+    work = []
+    for name in names:
+        mine = chosen[name]
+        picked = (mine[i] for i in chosen_frames(len(mine), options.frames))
+        work.append(_Scene(name, tuple(picked), len(mine)))
     read = run_jobs(_Groups(options), work, name="labels", key=str, options=options.jobs)
     if not read.results:
         read.raise_if_failed()
@@ -174,11 +178,6 @@ def _about(
         without_images=sum(not f.has_images for f in frames),
         problems=problems,
     )
-
-
-def _spread(indices: Sequence[int], most: int) -> list[int]:
-    picks = np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int)
-    return [indices[int(i)] for i in np.unique(picks)]
 
 
 def _assembled(

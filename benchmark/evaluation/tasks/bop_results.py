@@ -33,6 +33,11 @@ _FIGURES = {
     **{f"ap_{name}": f"bop24_mAP_{name}" for name in PRECISIONS},
     "ap": "bop24_mAP",
 }
+# Those of tables, and their headings; the last ones are ranked by the challenge of 2025.
+SHOWN = {
+    "ar": "AR", "ar_vsd": "AR VSD", "ar_mssd": "AR MSSD", "ar_mspd": "AR MSPD", "ap": "mAP",
+    "ap_mssd": "AP MSSD", "ap_mspd": "AP MSPD", "ap_mssd_mm": "AP MSSD 2-20 mm",
+}  # fmt: skip
 # Those that the challenge of 2025 ranks by.
 _FIGURES_25 = {"ap_mssd": "bop25_mAP", "ap_mssd_mm": "bop25_mAP_mm"}
 SCORES_19, SCORES_24 = "scores_bop19.json", "scores_bop24.json"

@@ -166,6 +166,7 @@ class Run(FrameRun[Restorer]):
             released_loader=self.released_loader or 0,
             probes=sorted(self.probes),
             limits=changed("benchmark.restoring.restorer.", "benchmark.metrics."),
+            backend=getattr(methods, "backend", ""),
         )
         return Manifest(
             label=self.label,

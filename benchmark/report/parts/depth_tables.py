@@ -152,7 +152,13 @@ def run_table(results: Sequence[RunResult]) -> Table:
     for result in results:
         m, s = result.manifest, result.manifest.setup
         settings = ", ".join(f"{k}={v}" for k, v in sorted(s.settings.items()))
-        how = [result.preset, s.precision, *(["compiled"] if s.compile else []), settings]
+        how = [
+            result.preset,
+            s.precision,
+            *(["compiled"] if s.compile else []),
+            settings,
+            s.backend,
+        ]
         how = how if result.preset or settings else [settings]
         if s.released_loader:
             how.append(f"authors' loader, batches of {s.released_loader}")

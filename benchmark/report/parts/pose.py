@@ -258,11 +258,6 @@ def _summary(board: pose_board.PoseBoard) -> str:
     return "Most poses right: " + "; ".join(found) + "."
 
 
-_FIGURES = ("ar", "ar_vsd", "ar_mssd", "ar_mspd", "ap", "ap_mssd", "ap_mspd", "ap_mssd_mm")
-
-_HEADINGS = ("AR", "VSD", "MSSD", "MSPD", "mAP", "AP MSSD", "AP MSPD", "AP MSSD 2-20 mm")
-
-
 def summary(results: Sequence[BopFigures]) -> str:
     """One sentence on the best file of each data set."""
     for figure, title in (("ar", "AR"), ("ap", "mAP"), ("ar_mssd", "AR of MSSD")):
@@ -289,7 +284,10 @@ def sections(results: Sequence[BopFigures], *, published: bool) -> list[Section]
 
 
 def _percent_columns() -> list[Column]:
-    return [Column(heading=h, unit="%", factor=100, lower_is_better=False) for h in _HEADINGS]
+    return [
+        Column(heading=h, unit="%", factor=100, lower_is_better=False)
+        for h in bop_results.SHOWN.values()
+    ]
 
 
 def _table(results: Sequence[BopFigures], *, published: bool) -> Table:
@@ -301,7 +299,7 @@ def _table(results: Sequence[BopFigures], *, published: bool) -> Table:
         *_percent_columns(),
         Column(heading="time", unit="s/image", digits=2, lower_is_better=True),
     ]
-    names = ("targets", "estimates", *_FIGURES, "seconds_per_image")
+    names = ("targets", "estimates", *bop_results.SHOWN, "seconds_per_image")
     rows = []
     for r in sorted(results, key=lambda r: -(r.ar or r.ap or 0)):
         cells = [
@@ -351,7 +349,9 @@ def _object_table(objects: Sequence[BopObject], title: str) -> Table:
                 Cell(text=str(o.obj_id)),
                 *(
                     c.cell(getattr(o, n), missing=NONE)
-                    for c, n in zip(columns[1:], ("targets", "instances", *_FIGURES), strict=True)
+                    for c, n in zip(
+                        columns[1:], ("targets", "instances", *bop_results.SHOWN), strict=True
+                    )
                 ),
             ]
         )

@@ -1,28 +1,21 @@
 """Runs of every task as entries of a site."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from benchmark.data.field.layered_depth import SIZES
+from benchmark.evaluation import run_kinds
 from benchmark.evaluation.known_data import KnownData, names_of_data, published_size
-from benchmark.evaluation.manifest import (
-    BOP_FILE,
-    BOP_MANIFEST,
-    DUMP_MANIFEST,
-    GRASP_MANIFEST,
-    MANIFEST,
-    POSE_MANIFEST,
-    BopManifest,
-)
-from benchmark.evaluation.results import TABLE, Result, finished_folders, read_known, read_table
+from benchmark.evaluation.manifest import BOP_MANIFEST, MANIFEST, BopManifest
+from benchmark.evaluation.results import Result, read_known, read_table
+from benchmark.evaluation.run_kinds import RunKind
 from benchmark.evaluation.submission import Submission
-from benchmark.evaluation.tasks import bop_results, depth_results, grasp_results, pose_results
+from benchmark.evaluation.tasks import bop_results, depth_results, order_run, pose_results
 from benchmark.evaluation.tasks.depth_speed import NOT_STATED
-from benchmark.evaluation.tasks.grasp_dump import PRECISIONS, DumpResult, read_dump_run
-from benchmark.evaluation.tasks.grasp_table import ATTEMPTS
-from benchmark.evaluation.tasks.pose_table import POSES
-from benchmark.evaluation.verification import VerifiedRun, run_digest
+from benchmark.evaluation.tasks.grasp_dump import DumpResult
+from benchmark.evaluation.verification import VerifiedRun
 from benchmark.metrics.pose import get_pose_protocol
 from benchmark.metrics.protocols.protocol import get_protocol, protocols
 from benchmark.report.leaderboard import BOARD, RANKED_BY
@@ -46,19 +39,25 @@ from std_toolkit.io.documents import digest_of, read_document
 SAMPLES = 500
 
 
-def _finished(folders: Iterable[Path], manifest: str, table: str) -> list[Path]:
+def _shares(headings: Mapping[str, str]) -> tuple[Column, ...]:
+    """Columns of fractions, shown in percent."""
+    return tuple(
+        Column(name=name, heading=heading, unit="%", factor=100, lower_is_better=False)
+        for name, heading in headings.items()
+    )
+
+
+def _finished(folders: Iterable[Path], kind: RunKind) -> list[Path]:
     found: dict[Path, Path] = {}
     for folder in folders:
-        for path in finished_folders(folder, manifest, table):
+        for path in kind.folders(folder):
             found.setdefault(path.resolve(), path)
     return list(found.values())
 
 
-def _read(
-    folders: Iterable[Path], manifest: str, table: str, read: Callable[[Path], Any]
-) -> list[Any]:
+def _read(folders: Iterable[Path], kind: RunKind) -> list[Any]:
     """Results with the names of their data sets, others for other content."""
-    found = [read(path) for path in _finished(folders, manifest, table)]
+    found = [kind.read(path) for path in _finished(folders, kind)]
     places = names_of_data([r.named for r in found], [r.data for r in found])
     return [result.at(place) for result, place in zip(found, places, strict=True)]
 
@@ -140,7 +139,7 @@ def _machine(hardware: Mapping[str, str]) -> str:
 
 def _depth(folders: Sequence[Path]) -> Iterator[Entry]:
     known = protocols.names()
-    for result in _read(folders, MANIFEST, TABLE, depth_results.read_run):
+    for result in _read(folders, run_kinds.DEPTH):
         setup = result.manifest.setup
         if setup.protocol not in known:
             raise ToolkitError(
@@ -155,7 +154,8 @@ def _depth(folders: Sequence[Path]) -> Iterator[Entry]:
         ).set_index("subset")
         means = means[means["frames"] > 0]
         figures = {s: _of_row(means.loc[s], BOARD) for s in wanted if s in means.index}
-        extra = {"depth from": setup.depth_from} if setup.depth_from else {}
+        said = {"depth from": setup.depth_from, "networks run by": setup.backend}
+        extra = {name: text for name, text in said.items() if text}
         yield Entry(
             board=_board(result, "depth restoration", setup.split, setup.protocol,
                          setup.frames_sha256),
@@ -167,7 +167,7 @@ def _depth(folders: Sequence[Path]) -> Iterator[Entry]:
             facts=_facts(result) | extra,
             uses=(setup.method, setup.split, setup.protocol),
             folder=result.folder,
-            digest=run_digest(result.folder, MANIFEST, TABLE),
+            digest=run_kinds.DEPTH.digest(result.folder),
             frames=result.frames,
             scenes=int(rows["scene"].nunique()),
             speed_class=result.speed_class,
@@ -184,7 +184,7 @@ def _of_row(row: Any, columns: Sequence[Column]) -> dict[str, Figure]:
 
 
 def _pose(folders: Sequence[Path]) -> Iterator[Entry]:
-    for result in _read(folders, POSE_MANIFEST, POSES, pose_results.read_pose_run):
+    for result in _read(folders, run_kinds.POSE):
         setup = result.manifest.setup
         method, depth, fit = result.name
         for name in pose_board.PROTOCOLS:
@@ -208,7 +208,7 @@ def _pose(folders: Sequence[Path]) -> Iterator[Entry]:
                 facts=_facts(result) | {"depth": setup.depth},
                 uses=(setup.method, setup.split, name, setup.depth),
                 folder=result.folder,
-                digest=run_digest(result.folder, POSE_MANIFEST, POSES),
+                digest=run_kinds.POSE.digest(result.folder),
                 frames=result.frames,
                 scenes=scenes,
                 is_bound=result.given_truth or setup.depth == pose_board.TRUE,
@@ -217,18 +217,12 @@ def _pose(folders: Sequence[Path]) -> Iterator[Entry]:
             )
 
 
-_BOP = tuple(
-    Column(name=name, heading=heading, unit="%", factor=100, lower_is_better=False)
-    for name, heading in (
-        ("ar", "AR"), ("ar_vsd", "AR VSD"), ("ar_mssd", "AR MSSD"), ("ar_mspd", "AR MSPD"),
-        ("ap", "mAP"),
-    )
-)  # fmt: skip
+_BOP = _shares(bop_results.SHOWN)
 
 
 def _bop(folders: Sequence[Path]) -> Iterator[Entry]:
-    places = list(_finished(folders, BOP_MANIFEST, BOP_FILE))
-    read = [bop_results.read_bop_run(place) for place in places]
+    places = _finished(folders, run_kinds.BOP)
+    read = [run_kinds.BOP.read(place) for place in places]
     known = [read_known(place) for place in places]
     names = names_of_data([r.place for r in read], known)
     for place, result, data, name in zip(places, read, known, names, strict=True):
@@ -261,23 +255,20 @@ def _bop(folders: Sequence[Path]) -> Iterator[Entry]:
             },
             uses=("bop",),
             folder=place,
-            digest=run_digest(place, BOP_MANIFEST, bop_results.ERRORS),
+            digest=run_kinds.BOP.digest(place),
             frames=int(table["index"].nunique()),
             scenes=int(table["scene"].nunique()),
         )  # fmt: skip
 
 
-_GRASPS = tuple(
-    Column(name=name, heading=heading, unit="%", factor=100, lower_is_better=False)
-    for name, heading in (
-        ("completion_objects", "completion per object"), ("completion_tables", "per table"),
-        ("success_attempts", "success per attempt"), ("cleared", "tables cleared"),
-    )
-)  # fmt: skip
+_GRASPS = _shares({
+    "completion_objects": "completion per object", "completion_tables": "per table",
+    "success_attempts": "success per attempt", "cleared": "tables cleared",
+})  # fmt: skip
 
 
 def _grasp(folders: Sequence[Path]) -> Iterator[Entry]:
-    for result in _read(folders, GRASP_MANIFEST, ATTEMPTS, grasp_results.read_grasp_run):
+    for result in _read(folders, run_kinds.GRASP):
         manifest, setup = result.manifest, result.manifest.setup
         shown, seed, planner, depth = result.name
         rates = {c.name: getattr(result.rates, c.name) for c in _GRASPS}
@@ -303,7 +294,7 @@ def _grasp(folders: Sequence[Path]) -> Iterator[Entry]:
             },
             uses=(setup.planner, setup.depth),
             folder=result.folder,
-            digest=run_digest(result.folder, GRASP_MANIFEST, ATTEMPTS),
+            digest=run_kinds.GRASP.digest(result.folder),
             frames=result.frames,
             scenes=result.frames,
             is_bound=setup.depth == pose_board.TRUE or setup.planner == "oracle",
@@ -319,7 +310,7 @@ _DUMPS = tuple(
 
 
 def _dump(folders: Sequence[Path]) -> Iterator[Entry]:
-    results: list[DumpResult] = _read(folders, DUMP_MANIFEST, PRECISIONS, read_dump_run)
+    results: list[DumpResult] = _read(folders, run_kinds.DUMP)
     for result in results:
         manifest, setup = result.manifest, result.manifest.setup
         figures = result.figures
@@ -343,8 +334,43 @@ def _dump(folders: Sequence[Path]) -> Iterator[Entry]:
             },
             uses=("graspnet",),
             folder=result.folder,
-            digest=run_digest(result.folder, DUMP_MANIFEST, PRECISIONS),
+            digest=run_kinds.DUMP.digest(result.folder),
             frames=setup.frames,
+            scenes=int(result.table["scene"].nunique()),
+        )  # fmt: skip
+
+
+_ORDERS = _shares({size: size for size in SIZES})
+
+
+def _order(folders: Sequence[Path]) -> Iterator[Entry]:
+    results: list[order_run.OrderResult] = _read(folders, run_kinds.ORDER)
+    for result in results:
+        manifest, setup = result.manifest, result.manifest.setup
+        figures: dict[str, dict[str, Figure]] = {order_run.ALL: {}}
+        for (size, layer), share in result.shares(SAMPLES).items():
+            figures.setdefault(layer, {})[size] = share
+        yield Entry(
+            board=_board(result, "order of points", setup.split, setup.subset,
+                         setup.frames_sha256),
+            method=manifest.label,
+            columns=_ORDERS,
+            ranked_by="quads" if "quads" in figures[order_run.ALL] else "pairs",
+            figures=figures,
+            unanswered=result.missing + result.failed,
+            facts={
+                "files count layers": setup.layers,
+                ".npy holds": setup.npy,
+                "setup (BLAKE2b-128)": digest_of(setup, versioned=False),
+                "data (BLAKE2b-128)":
+                    result.data.record.digest if result.data.record else "not known",
+                "std-toolkit": manifest.version_of_tool,
+                **_said(result),
+            },
+            uses=("layered-depth",),
+            folder=result.folder,
+            digest=run_kinds.ORDER.digest(result.folder),
+            frames=result.frames,
             scenes=int(result.table["scene"].nunique()),
         )  # fmt: skip
 
@@ -360,7 +386,7 @@ def collect(folders: Sequence[Path], grades: Mapping[str, VerifiedRun]) -> list[
         ToolkitError: a folder has no finished run, or one that cannot be read.
     """
     found: list[Entry] = []
-    for make in (_depth, _pose, _grasp, _dump, _bop):
+    for make in (_depth, _pose, _grasp, _dump, _order, _bop):
         found += make(folders)
     owners = owners_of(folders)
     entries = []

@@ -126,7 +126,9 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     report = check_split(tmp_path, "real275-test")
     assert not report.missing and not report.unreadable
     text = report.text()
-    assert "objects only" in text and "2750" in text and "non-commercial" in text
+    assert (
+        "objects only" in text and "no source here states them" in text and "non-commercial" in text
+    )
     (tmp_path / TOP / "0000_coord.png").unlink()
     assert "no coordinates: 1 of the frames" in check_split(tmp_path, "real275-test").text()
     with pytest.raises(ToolkitError, match="no coordinates"):

@@ -105,6 +105,23 @@ def test_transpose(tmp_path: Path, side: str, camera: str, unit: float) -> None:
     assert all(mesh.path.is_file() for mesh in source.meshes(1).values())
 
 
+def test_the_unit_of_poses_is_told_and_is_one(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_transpose(tmp_path)
+    source = opened("transpose-right-train", tmp_path)
+    source.poses(0)
+    source.poses(1)
+    assert caplog.text.count("does not state the unit of its poses") == 1
+    assert "000001.json tells millimetres" in caplog.text
+    path = tmp_path / "sequences/seq_H_01/cam_R/pose/000002.json"
+    poses = json.loads(path.read_text())
+    poses["7"]["tra"] = [x / 1000 for x in poses["7"]["tra"]]
+    path.write_text(json.dumps(poses))
+    with pytest.raises(ToolkitError, match="a place in metres, where 000001"):
+        source.poses(1)
+
+
 def test_both_cameras_of_transpose_see_the_objects_in_one_place(tmp_path: Path) -> None:
     write_transpose(tmp_path)
     right, left = (opened(f"transpose-{side}-train", tmp_path) for side in ("right", "left"))

@@ -11,13 +11,19 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 from benchmark.cli.bench import main
 from benchmark.data.splits import splits
-from benchmark.evaluation.order import score_order
-from benchmark.evaluation.query_options import OrderOptions
+from benchmark.evaluation.config import BenchJobs
+from benchmark.evaluation.query_options import OrderOptions, VerifyOptions
+from benchmark.evaluation.tasks.order_run import ORDERS, ScoredOrder, score_order
+from benchmark.evaluation.verify import verify
+from benchmark.report.page import make_parts, render_page
+from benchmark.report.site.build import build_site
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.documents import write_document
 
 SIZE = (40, 30)
 # A pane before a wall: it covers columns 10 to 29. Layers 1 and 3 are its faces, 5 is the wall.
@@ -85,7 +91,7 @@ def write_png(folder: Path, numbers: dict[int, int], keys: tuple[str, ...] = ("0
 
 def scored(data: Path, predictions: Path, **options: Any) -> dict[tuple[str, str], tuple[int, int]]:
     given = OrderOptions(data=data, predictions=(f"mine={predictions}",), **options)
-    return {(s.tuples, s.layer): (s.right, s.count) for s in score_order(given).scores}
+    return {(s.tuples, s.layer): (s.right, s.count) for s in score_order(given).record.scores}
 
 
 ALL_RIGHT = {
@@ -139,12 +145,12 @@ def test_a_photo_that_is_not_answered_is_wrong(tmp_path: Path) -> None:
     options = OrderOptions(
         data=tmp_path / "data", predictions=(f"a={tmp_path / 'p'}",), subset="layer_all"
     )
-    record = score_order(options)
+    record = score_order(options).record
     assert record.unanswered == {"a": 1} and record.left_out == 2
     assert all(2 * s.right == s.count for s in record.scores)
 
 
-def test_predictions_of_another_size(tmp_path: Path) -> None:
+def test_predictions_of_another_size(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     write_set(tmp_path / "data")
     folder = tmp_path / "p"
     folder.mkdir()
@@ -153,8 +159,12 @@ def test_predictions_of_another_size(tmp_path: Path) -> None:
         np.save(folder / f"{key}_1.npy", 1 / large)
     assert scored(tmp_path / "data", folder)[("quads", "all")] == (2, 2)
     np.save(folder / "0_1.npy", np.ones((SIZE[0], SIZE[1])))
-    with pytest.raises(ToolkitError, match="other proportions than the photo's 40x30"):
-        scored(tmp_path / "data", folder)
+    # A photo whose prediction cannot be used is wrong, and is told.
+    given = OrderOptions(data=tmp_path / "data", predictions=(f"mine={folder}",))
+    found = score_order(given)
+    assert found.record.unanswered == {"mine": 1} and found.campaign.failed_frames == 1
+    assert "other proportions than the photo's 40x30" in caplog.text
+    assert [s.right for s in found.record.scores if s.tuples == "quads"] == [1, 1]
 
 
 def test_numbers_that_could_mean_two_layers(tmp_path: Path) -> None:
@@ -186,6 +196,81 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main([*words, "--predictions", f"mine={tmp_path / 'p'}", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["photos"] == 2 and record["unanswered"] == {"mine": 0}
+
+
+def kept(top: Path, name: str = "mine", **options: Any) -> ScoredOrder:
+    """Score the predictions of `top/NAME` into `top/results`."""
+    return score_order(
+        OrderOptions(
+            data=top / "data", predictions=(f"{name}={top / name}",), subset="layer_all",
+            out=top / "results", **options,
+        )
+    )  # fmt: skip
+
+
+def rights(done: ScoredOrder) -> dict[tuple[str, str], int]:
+    return {(s.tuples, s.layer): s.right for s in done.record.scores}
+
+
+def test_results_are_kept_and_what_changed_is_scored_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_set(tmp_path / "data")
+    write_png(tmp_path / "mine", {1: 1, 3: 3, 5: 5, 7: 7})
+    first = kept(tmp_path)
+    table = tmp_path / "results" / "layered-depth" / "mine" / "layer_all" / ORDERS
+    before = table.stat().st_mtime_ns
+    assert rights(kept(tmp_path)) == rights(first) and table.stat().st_mtime_ns == before
+    # Under the same name another prediction, then another truth: of one photo alone.
+    flat = np.full((SIZE[1], SIZE[0]), 1500, np.uint16)
+    assert cv2.imwrite(str(tmp_path / "mine" / "0_1.png"), flat)
+    caplog.clear()
+    assert rights(kept(tmp_path))[("pairs", "1")] == 2
+    assert "saved depth of layer 1 of 0/image" in caplog.text and "1/image" not in caplog.text
+    document = json.loads((tmp_path / "data" / "1.tuples.json").read_text())
+    document["layer_all"]["pairs"] = [one((2, 5, 1), (15, 5, 1))]
+    (tmp_path / "data" / "1.tuples.json").write_text(json.dumps(document))
+    found = rights(kept(tmp_path))
+    assert found[("pairs", "1")] == 0 and "tuples of 1/image" in caplog.text
+    # Another way to read the same files is another run.
+    done = kept(tmp_path, npy="depth")
+    assert not done.campaign.finished and "npy" in next(iter(done.campaign.failed.values()))
+
+
+def test_results_are_verified_and_stand_on_the_site(tmp_path: Path) -> None:
+    write_set(tmp_path / "data")
+    write_png(tmp_path / "good", {1: 1, 3: 3, 5: 5, 7: 7})
+    write_png(tmp_path / "half", {1: 1, 3: 3, 5: 5, 7: 7}, keys=("0",))
+    write_png(tmp_path / "poor", {1: 5, 3: 3, 5: 1, 7: 7})
+    for name in ("good", "half", "poor"):
+        kept(tmp_path, name)
+    results = tmp_path / "results"
+    jobs = BenchJobs(engine="serial", progress=False)
+    options = VerifyOptions(results=(results,), data=(str(tmp_path / "data"),), jobs=jobs)
+    done = verify(options)
+    grades = {run.title.split()[0]: (run.holds, run.grade) for run in done.runs}
+    assert grades == dict.fromkeys(("good", "half", "poor"), (True, "recomputed"))
+    write_document(tmp_path / "v.json", done)
+    build_site([results], tmp_path / "site", verified=[tmp_path / "v.json"])
+    table = pd.read_csv(tmp_path / "site" / "results.csv")
+    assert set(table["task"]) == {"order of points"} and set(table["grade"]) == {"recomputed"}
+    rank = table[table["subset"] == "all"].set_index("method")["rank"]
+    assert rank["good"] == 1 and rank["poor"] == 2 and np.isnan(rank["half"])
+    row = table[(table["subset"] == "all") & (table["method"] == "good")].iloc[0]
+    assert row["pairs"] == 1 and row["pairs_low"] == 1
+    assert "Order of points" in render_page(make_parts([results]))
+    # A table in which somebody added right tuples does not hold.
+    path = results / "layered-depth" / "poor" / "layer_all" / ORDERS
+    rows = pd.read_parquet(path)
+    rows["right"] = rows["asked"]
+    rows.to_parquet(path)
+    wrong = {run.title.split()[0]: run for run in verify(options).runs}
+    assert not wrong["poor"].holds and wrong["good"].holds
+    assert any(not figure.holds for figure in wrong["poor"].figures)
+    rows["right"] = rows["asked"] + 1
+    rows.to_parquet(path)
+    with pytest.raises(ToolkitError, match="more right tuples than tuples"):
+        verify(options)
 
 
 def test_it_is_no_split() -> None:

@@ -36,6 +36,16 @@ def test_three_lines():
     assert np.array_equal(found.depth[kept], sensor_depth()[kept]) and kept.mean() > 0.5
 
 
+def test_scores_say_what_runs_the_networks(monkeypatch):
+    """Results of onnxruntime and of torch are not mixed in one folder."""
+    pytest.importorskip("onnxruntime")
+    options = MethodOptions(preset="compact")
+    assert make_restorer("std-restore", options).backend == "onnx"
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    method = make_restorer("std-restore", options)
+    assert method.backend == "torch" and hasattr(method, "network")
+
+
 def test_what_is_not_measured_may_be_written_in_any_way():
     restorer = Restorer.load("nearest")
     depth = sensor_depth()
