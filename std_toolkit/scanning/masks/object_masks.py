@@ -131,16 +131,9 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
             found[view.name] = mask > 0
     if not found:
         raise ToolkitError(
-<<<<<<< HEAD
             "no mask is named as a photo", path=folder, field="--masks",
             hint=f"such as {Path(posed.views[0].name).stem}.png",
         )  # fmt: skip
-=======
-            "no mask is named as a photo",
-            path=folder,
-            hint=f"such as {Path(posed.views[0].name).stem}.png",
-        )
->>>>>>> hostile9
     return found
 
 
@@ -152,17 +145,12 @@ def _numbers(text: str, option: str, count: int, posed: PosedPhotos) -> tuple[in
         values = []
     if not name or len(values) != count or not np.isfinite(values).all():
         expected = "PHOTO:x,y" if count == 2 else "PHOTO:x0,y0,x1,y1"
-<<<<<<< HEAD
-        raise ToolkitError(f"expected {expected}", field=option, value=text)
-    index = posed.photos.index_of(name, option)
-    wanted = posed.photos.paths[index].name
-    values = [v * posed.photos.factor_of(index) for v in values]
-=======
         raise ToolkitError(
             f"expected {expected}", field=option, value=text, hint="numbers of pixels"
         )
-    wanted = posed.photos.paths[posed.photos.index_of(name, option)].name
->>>>>>> hostile9
+    index = posed.photos.index_of(name, option)
+    wanted = posed.photos.paths[index].name
+    values = [v * posed.photos.factor_of(index) for v in values]
     for i, view in enumerate(posed.views):
         if view.name == wanted:
             return i, values
