@@ -260,7 +260,7 @@ def _entry(
         trainable = get_trainable(variant.method)
         settings = trainable.settings_of(scale.preset, {**how.settings, **variant.settings})
         size = tuple(trainable.config(scale.preset, settings).input_size)
-        PackOptions(size=size)  # type: ignore[arg-type] # fails on a size that cannot be packed
+        PackOptions(size=size)  # fails on a size that cannot be packed
     except ToolkitError as error:
         return replace(planned, problem=f"cannot be trained here: {error}")
     packs = [

@@ -28,21 +28,19 @@ if TYPE_CHECKING:
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 
-OTHER_MESHES = (
-    f"one of {', '.join(MESH_SUFFIXES)}; export COLLADA (.dae), FBX, STEP or .blend "
-    "files as OBJ or GLB, in Blender or MeshLab"
-)
+_KNOWN = ", ".join(MESH_SUFFIXES)
+OTHER_MESHES = f"one of {_KNOWN}; export COLLADA, FBX, STEP or .blend files as OBJ or GLB"
 """Hint for a mesh in another format."""
 
 UNREAD_MESHES = (
-    ".dae",
-    ".fbx",
     ".3ds",
     ".blend",
-    ".step",
-    ".stp",
+    ".dae",
+    ".fbx",
     ".iges",
     ".igs",
+    ".step",
+    ".stp",
     ".usd",
     ".usdz",
 )

@@ -167,8 +167,9 @@ def _matched(
     low = middle - around
     shape = tuple(int(n) for n in np.ceil(2 * around * zoom) + 1)
     to_patch = np.array([[zoom, 0, -zoom * low[0]], [0, zoom, -zoom * low[1]]])
-    patch = cv2.warpAffine(grey, to_patch, shape, flags=cv2.INTER_LINEAR,
-                           borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
+    patch: Floats = cv2.warpAffine(
+        grey, to_patch, shape, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    ).astype(np.float32)
     local = (uv - low) * zoom
     best: tuple[float, Array] | None = None
     for scale in scales:
@@ -176,7 +177,9 @@ def _matched(
         template, mask, start = _template(bits, quad)
         if (np.array(template.shape) > patch.shape).any():
             continue
-        score = cv2.matchTemplate(patch, template, cv2.TM_CCOEFF_NORMED, mask=mask)
+        score: Floats = cv2.matchTemplate(patch, template, cv2.TM_CCOEFF_NORMED, mask=mask).astype(
+            np.float32
+        )
         score[~np.isfinite(score)] = -1
         _, value, _, place = cv2.minMaxLoc(score)
         if best is None or value > best[0] + 0.02:
@@ -226,6 +229,7 @@ def _right_cells(patch: Floats, quad: Array, bits: NDArray[np.bool_]) -> float:
     H = cv2.getPerspectiveTransform(source, quad.astype(np.float32))
     y, x = np.mgrid[:n, :n] + 0.5
     at = cv2.perspectiveTransform(np.stack([x, y], axis=-1).reshape(1, -1, 2), H)[0]
-    value = cv2.remap(patch, *at.astype(np.float32).T[:, None], cv2.INTER_LINEAR).reshape(n, n)
+    u, v = at.astype(np.float32).T[:, None]
+    value = cv2.remap(patch, u, v, cv2.INTER_LINEAR).reshape(n, n)
     low, high = np.percentile(value, [15, 90])
     return float(((value > (low + high) / 2) == bits).mean())

@@ -141,7 +141,7 @@ def nearest_colors(
         [np.bincount(corner, amount * each[:, k], minlength=count) for k in range(3)], axis=1
     )
     sources = np.flatnonzero(weight)
-    color[sources] /= weight[sources, None]
+    color[sources] = color[sources] / weight[sources, None]
     nearest = np.arange(count)
     if len(sources):
         ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
