@@ -32,24 +32,13 @@ _KNOWN = ", ".join(MESH_SUFFIXES)
 OTHER_MESHES = f"one of {_KNOWN}; export COLLADA, FBX, STEP or .blend files as OBJ or GLB"
 """Hint for a mesh in another format."""
 
-UNREAD_MESHES = (
-    ".3ds",
-    ".blend",
-    ".dae",
-    ".fbx",
-    ".iges",
-    ".igs",
-    ".step",
-    ".stp",
-    ".usd",
-    ".usdz",
-)
+UNREAD_MESHES = (".3ds", ".blend", ".dae", ".fbx", ".iges", ".igs", ".step", ".stp",
+                 ".usd", ".usdz")  # fmt: skip
 """Meshes that people have and that are not read."""
 
 # Plausible size of table-top objects: 3 mm to 3 m. A mug in millimetres is 100 "metres" high, a
 # mug in metres read as millimetres 0.1 mm.
 SMALLEST_EXTENT_M = 0.003
-
 LARGEST_EXTENT_M = 3.0
 # Faces that Open3D decimates to the usual 200,000 within some 10 s.
 _MOST_FOR_OPEN3D = 500_000
