@@ -13,7 +13,7 @@ import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -100,13 +100,20 @@ def read_photos(root: Path, subset: Subset) -> list[OrderedPhoto]:
     sizes: dict[str, tuple[int, int]] = {}
     documents: dict[str, tuple[_Document, Path]] = {}
     for name, data, path in _files(root):
-        key = Path(name).name
-        if key.endswith(_IMAGE):
+        file = Path(name).name
+        found: Any
+        if file.endswith(_IMAGE):
             header = header_of(data, path)  # images themselves are not kept
-            sizes[key.removesuffix(_IMAGE)] = header.width, header.height
+            key, table, found = file.removesuffix(_IMAGE), sizes, (header.width, header.height)
         else:
             document = decode_document(data, _Document, path=path)
-            documents[key.removesuffix(_TUPLES)] = document, path
+            key, table, found = file.removesuffix(_TUPLES), documents, (document, path)
+        if key in table:  # of another part, whose photos have the same numbers
+            raise ToolkitError(
+                "two files of one photo", path=path, value=file,
+                hint="give the folder of one part; keep the archives or the unpacked files",
+            )  # fmt: skip
+        table[key] = found
     if not (sizes or documents):
         raise ToolkitError(
             "no photo of LayeredDepth is here", path=root,

@@ -27,6 +27,11 @@ from std_toolkit.io.images import image_size, read_color, read_depth, read_png
 # Files of a frame by content; those whose content is listed in `optional` may be missing.
 Files = dict[str, Path]
 
+# Numbers in names and lists; longer ones are none of a frame or an object.
+_MOST_DIGITS = 9
+# No table-top object is farther; one in millimetres is hardly nearer than as many metres.
+_FARTHEST_M = 50.0
+
 COLOR, RAW, TRUTH, MASK = "colour", "raw depth", "ground-truth depth", "mask"
 
 
@@ -265,7 +270,10 @@ def camera_of(K: ArrayLike, size: tuple[int, int], path: Path) -> Camera:
     Raises:
         ToolkitError: not such a matrix, or it does not fit the image.
     """
-    matrix = np.asarray(K, dtype=np.float64)
+    try:
+        matrix = np.asarray(K, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise ToolkitError("not a 3x3 matrix of a pinhole camera", path=path) from error
     if matrix.shape != (3, 3) or abs(matrix[0, 1]) > 1e-6 or abs(matrix[2, 2] - 1) > 1e-6:
         raise ToolkitError("not a 3x3 matrix of a pinhole camera", path=path, value=matrix.shape)
     try:
@@ -283,12 +291,40 @@ def pose_of(R: ArrayLike, t: ArrayLike, path: Path) -> SE3:
         path: of the file, for errors.
 
     Raises:
-        ToolkitError: no rotation.
+        ToolkitError: no rotation, or a translation that is not finite.
     """
     try:
-        return SE3(nearest_rotation(R), np.asarray(t, np.float64).reshape(3))
-    except (ToolkitError, ValueError) as error:
+        found = SE3(nearest_rotation(R), np.asarray(t, np.float64).reshape(3))
+    except (ToolkitError, ValueError, TypeError) as error:
         raise ToolkitError(f"no pose: {error}", path=path) from error
+    if not np.isfinite(found.t).all():
+        raise ToolkitError("no pose: a translation is not finite", path=path)
+    return found
+
+
+def object_pose(R: ArrayLike, t: ArrayLike, path: Path) -> SE3:
+    """Return `T_cam_obj` of a set whose translations are known to be in metres.
+
+    Args:
+        R, t, path: see `pose_of`.
+
+    Raises:
+        ToolkitError: no pose, or farther than an object can be.
+    """
+    found = pose_of(R, t, path)
+    if np.abs(found.t).max() > _FARTHEST_M:
+        raise ToolkitError(
+            "the translations of this set are known to be in metres", path=path,
+            field="translation", value=[float(f"{x:.6g}") for x in found.t],
+            hint="millimetres? divide them by 1000",
+        )  # fmt: skip
+    return found
+
+
+def whole_number(text: str) -> int:
+    """Return the number that a text of at most nine digits states; -1 for any other text."""
+    is_number = text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS
+    return int(text) if is_number else -1
 
 
 def unit_of_place(t: ArrayLike, path: Path) -> float:
