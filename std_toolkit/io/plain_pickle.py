@@ -160,6 +160,7 @@ class _Reader(pickle._Unpickler):
 
     dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
     stack: list[Any]
+    pop_mark: Callable[[], list[Any]]
 
     def __init__(self, data: bytes, records: Collection[tuple[str, str]]) -> None:
         super().__init__(io.BytesIO(data), encoding="latin-1")
