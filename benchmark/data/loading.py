@@ -99,6 +99,16 @@ def list_scenes(
         _scan(top, pattern, frozenset(telling or suffixes), depth),
         key=lambda f: natural_key(str(f[0])),
     )
+    return index_of(top, found)
+
+
+def index_of(top: Path, found: Sequence[tuple[Path, tuple[str, ...]]]) -> FrameIndex:
+    """Return the frames of folders; where two have one name, those above it are prepended.
+
+    Args:
+        top: folder at or above all of them.
+        found: folders, and the prefixes of the file names of their frames.
+    """
     names = Counter(path.name for path, _ in found)
     return FrameIndex(
         tuple(

@@ -21,7 +21,7 @@ weights = Path(sys.argv[2])
 config = OmegaConf.load(weights.with_name("cfg.yaml"))
 config.setdefault("vit_size", "vitl")
 model = FoundationStereo(config)
-model.load_state_dict(torch.load(weights, map_location="cpu", weights_only=False)["model"])
+model.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True)["model"])
 device = "cuda" if torch.cuda.is_available() else "cpu"
 model = model.to(device).eval()
 

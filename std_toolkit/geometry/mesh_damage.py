@@ -132,7 +132,8 @@ def _check_last_line(path: Path) -> None:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
         text = file.read().decode("utf-8", "replace")
-    lines = [line for line in text.splitlines()[-50:] if line.strip()]
+    lines = [line.split(" #")[0] for line in text.splitlines()[-50:]]
+    lines = [line for line in lines if line.strip()]
     if text.endswith(("\n", "\r")) or len(lines) < 2:
         return
     last = lines[-1].split()

@@ -186,9 +186,12 @@ def _strips(index: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def named_ply_colors(data: bytes) -> bytes:
-    """A PLY file whose vertex colours are red, green, blue, not r, g, b or diffuse_red, ..."""
+    """A PLY file whose vertex colours are red, green, blue, not r, g, b or diffuse_red, ...
+
+    One that has the usual names stays as it is.
+    """
     end = data.find(b"end_header", 0, _LARGEST_HEADER)
-    if end < 0:
+    if end < 0 or re.search(rb"property\s+\w+\s+red\s", data[:end]):
         return data
     head = re.sub(rb" diffuse_(red|green|blue)(?=\s)", rb" \1", data[:end])
     short = rb"(property\s+\w+\s+)(r|g|b)(?=\s)"

@@ -31,6 +31,11 @@ _USEMTL = re.compile(rb"^usemtl(?!\S)([^\n]*)", re.MULTILINE)
 _NEWMTL = re.compile(r"^newmtl[ \t]+([^\n]*)", re.MULTILINE)
 _VERTEX = re.compile(rb"^v[ \t]([^\n]*)", re.MULTILINE)
 _FACE = re.compile(rb"^f[ \t]", re.MULTILINE)
+_FACE_FROM_ZERO = re.compile(rb"^f[ \t][^\n]*(?<=[ \t])0(?![^/ \t\r\n])", re.MULTILINE)
+# What other programs write, and the parsers pass over without a word.
+_INDENTED = re.compile(rb"^[ \t]+", re.MULTILINE)
+_TABBED = re.compile(rb"^(?:v|vt|vn|f)\t[^\n]*|^(?:v|vt|vn|f) [^\n\t]*\t[^\n]*", re.MULTILINE)
+_COMMENTED = re.compile(rb"^((?:v|vt|vn|f)[ \t][^\n#]*)#[^\n]*", re.MULTILINE)
 _FACE_WITH_UV = re.compile(rb"^f[ \t]+-?\d+/-?\d", re.MULTILINE)
 _MAP = re.compile(r"^[ \t]*(map_K[ade])\b", re.MULTILINE | re.IGNORECASE)
 _TEXTURE_KEYS = ("bump", "disp", "decal", "norm", "refl")
@@ -124,9 +129,15 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
             refer to any file); otherwise they are left out.
 
     Raises:
-        ToolkitError: such a reference, a texture that is no image, or a material that is no text.
+        ToolkitError: such a reference, a texture that is no image, a material that is no text, or
+            a face that counts from 0.
     """
-    data = path.read_bytes().removeprefix(_MARK)
+    data = _plain_lines(path.read_bytes().removeprefix(_MARK))
+    if found := _FACE_FROM_ZERO.search(data):
+        raise ToolkitError(
+            "a face counts its corners from 0: in OBJ files they count from 1", path=path,
+            value=found.group()[:40].decode("ascii", "replace").strip(), hint="export it again",
+        )  # fmt: skip
     names = [_text(m.group(1)) for m in _MTLLIB.finditer(data)]
     reader = _Reader(path.parent, path, strict)
     text = "".join(reader.material(found) for name in names for found in reader.libraries(name))
@@ -158,6 +169,15 @@ def read_obj(path: Path, *, strict: bool = False) -> ObjFiles:
     if target is not None and text:
         files = {target: text.encode("utf-8", "surrogateescape"), **files}
     return ObjFiles(data, files, tuple(notes))
+
+
+def _plain_lines(data: bytes) -> bytes:
+    """The text with one way to end and to begin lines, and without comments behind numbers."""
+    if b"\n" not in data:
+        data = data.replace(b"\r", b"\n")
+    data = _INDENTED.sub(b"", data)
+    data = _TABBED.sub(lambda match: match.group().replace(b"\t", b" "), data)
+    return _COMMENTED.sub(rb"\1", data)
 
 
 def _text(name: bytes) -> str:

@@ -21,6 +21,8 @@ LARGEST_MESSAGE_BYTES = 128 * 2**20
 
 _RATIO = 100  # of a compressed file; images and depth shrink to a twentieth at best
 _STEP = 2**20
+# What follows a stream is copied: millions of empty ones would take time with the square of them.
+_MOST_STREAMS = 1000
 
 
 def bound(module: ModuleType) -> None:
@@ -62,13 +64,17 @@ def unpacker_of(make: Callable[[], Any], largest_bytes: int | None = None) -> Ca
         make: a decompressor as those of `bz2` are.
         largest_bytes: of what it gives (`LARGEST_CHUNK_BYTES`).
 
-    The function raises ToolkitError for data that are cut off or unpack to more.
+    The function raises ToolkitError for data that are cut off, unpack to more, or are more than a
+    thousand streams.
     """
 
     def decompress(data: bytes, *_: object) -> bytes:
         most = LARGEST_CHUNK_BYTES if largest_bytes is None else largest_bytes
-        parts, size, rest = [], 0, data
+        parts, size, rest, streams = [], 0, data, 0
         while rest:  # several streams may follow each other
+            streams += 1
+            if streams > _MOST_STREAMS:
+                raise ToolkitError(f"a chunk of more than {_MOST_STREAMS} compressed streams")
             unpacker = make()
             fed = rest
             while True:

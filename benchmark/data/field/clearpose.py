@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data.field.places import camera_of, pose_of, whole_number
 from benchmark.data.field.source import (
     COLOR,
     MASK,
@@ -28,9 +29,7 @@ from benchmark.data.field.source import (
     FieldFrames,
     Files,
     Maps,
-    camera_of,
     known_ids,
-    pose_of,
     read_field_depth,
     read_ids,
 )
@@ -67,7 +66,7 @@ PARTS["test"] = tuple(scenes for name, part in PARTS.items() if name != "train" 
 class _Row:
     """What metadata.mat says of a frame."""
 
-    K: NDArray[np.float64]
+    K: Any
     poses: dict[int, SE3]
     T_cam_world: NDArray[np.float64] | None
 
@@ -158,8 +157,13 @@ def _row_of(value: Mapping[str, Any], path: Path, name: str) -> _Row:
     filed = None
     if camera is not None:
         filed = np.eye(4)
-        filed[:3] = np.asarray(camera, np.float64)[:3, :4]
-    return _Row(np.asarray(K, np.float64), listed_poses(value, path, name), filed)
+        try:
+            filed[:3] = np.asarray(camera, np.float64)[:3, :4]
+        except (ValueError, TypeError, IndexError) as error:
+            raise ToolkitError(
+                "must be 3x4", path=path, field=f"{name}.rotation_translation_matrix"
+            ) from error
+    return _Row(K, listed_poses(value, path, name), filed)
 
 
 def listed_poses(value: Mapping[str, Any], path: Path, name: str) -> dict[int, SE3]:
@@ -168,10 +172,18 @@ def listed_poses(value: Mapping[str, Any], path: Path, name: str) -> dict[int, S
     Raises:
         ToolkitError: numbers of another count, or no poses.
     """
-    ids = np.atleast_1d(value.get("cls_indexes", ())).ravel()
-    poses = np.asarray(value.get("poses", np.zeros((3, 4, 0))), dtype=np.float64)
-    # MATLAB drops a last dimension of 1.
-    poses = poses.reshape(3, 4, -1) if poses.size else np.zeros((3, 4, 0))
+    try:
+        ids = np.atleast_1d(np.asarray(value.get("cls_indexes", ()), np.float64)).ravel()
+        poses = np.asarray(value.get("poses", np.zeros((3, 4, 0))), dtype=np.float64)
+        # MATLAB drops a last dimension of 1.
+        poses = poses.reshape(3, 4, -1) if poses.size else np.zeros((3, 4, 0))
+    except (ValueError, TypeError) as error:
+        raise ToolkitError("expected poses (3, 4, n)", path=path, field=f"{name}.poses") from error
+    if not (np.isfinite(ids).all() and (ids % 1 == 0).all()):
+        raise ToolkitError(
+            "expected a number for each object", path=path, field=f"{name}.cls_indexes",
+            value=ids.tolist()[:20],
+        )  # fmt: skip
     if poses.shape[2] != len(ids):
         raise ToolkitError(
             f"{len(ids)} objects and {poses.shape[2]} poses", path=path, field=f"{name}.poses"
@@ -191,8 +203,8 @@ def open_clearpose(name: str, root: Path, part: str) -> ClearPose:
     for number, wanted in PARTS[part]:
         top = next((p for p in (root, *_folders(root)) if (p / f"set{number}").is_dir()), None)
         for folder in _folders(top / f"set{number}") if top else []:
-            digits = folder.name.removeprefix("scene")
-            if not digits.isdigit() or (wanted is not None and int(digits) not in wanted):
+            scene = whole_number(folder.name.removeprefix("scene"))
+            if scene < 0 or (wanted is not None and scene not in wanted):
                 continue
             stems = {
                 path.name.removesuffix(end)

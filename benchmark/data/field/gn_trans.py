@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.data.field.clearpose import listed_poses, read_mat
+from benchmark.data.field.places import camera_of, pose_of
 from benchmark.data.field.source import (
     COLOR,
     MASK,
@@ -33,9 +34,7 @@ from benchmark.data.field.source import (
     FieldFrames,
     Files,
     Maps,
-    camera_of,
     known_ids,
-    pose_of,
     read_field_depth,
     read_ids,
 )

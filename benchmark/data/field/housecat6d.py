@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data.field.places import camera_of, object_pose, whole_number
 from benchmark.data.field.source import (
     COLOR,
     MASK,
@@ -29,13 +30,11 @@ from benchmark.data.field.source import (
     FieldFrames,
     Files,
     Maps,
-    camera_of,
     known_ids,
-    pose_of,
     read_ids,
     render_objects,
 )
-from benchmark.data.frame import Instance, Material
+from benchmark.data.frame import BACKGROUND, Instance, Material
 from benchmark.data.labelled import MeshFile
 from benchmark.data.loading import FrameIndex, SceneFolder
 from std_toolkit.errors import ToolkitError
@@ -129,13 +128,14 @@ class HouseCat6D(FieldFrames):
             words = line.split()
             if not words:
                 continue
-            right = len(words) == 3 and words[0].isdigit() and words[1].isdigit()
-            if not right or not 1 <= int(words[1]) <= len(CLASSES) or "/" in words[2]:
+            mask_id, class_of = map(whole_number, (*words, "")[:2])
+            right = len(words) == 3 and 0 <= mask_id < BACKGROUND
+            if not right or not 1 <= class_of <= len(CLASSES) or "/" in words[2]:
                 raise ToolkitError(
                     "expected instance_id class_id CLASS-NAME", path=path, field=f"line {number}",
                     value=line[:60],
                 )  # fmt: skip
-            found[int(words[0])] = _Named(CLASSES[int(words[1]) - 1], words[2])
+            found[mask_id] = _Named(CLASSES[class_of - 1], words[2])
         return found
 
 
@@ -144,19 +144,26 @@ def _labels(path: Path) -> dict[int, SE3]:
     document: Any = read_pickle(path)
 
     def array(field: str) -> NDArray[np.float64]:
+        if not isinstance(document, dict):
+            raise ValueError
         return array_in(document[field], path, field)
 
     try:
         ids = array("instance_ids").ravel()
         R = array("rotations").reshape(-1, 3, 3)
         t = array("translations").reshape(-1, 3)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, ValueError) as error:
         raise ToolkitError(
             "expected instance_ids, rotations (n, 3, 3) and translations (n, 3)", path=path
         ) from error
     if not len(ids) == len(R) == len(t):
         raise ToolkitError(f"{len(ids)} ids, {len(R)} rotations, {len(t)} translations", path=path)
-    return {int(i): pose_of(R[k], t[k], path) for k, i in enumerate(ids)}
+    if not ((ids >= 0) & (ids < BACKGROUND) & (ids % 1 == 0)).all() or len(set(ids)) < len(ids):
+        raise ToolkitError(
+            f"expected ids below {BACKGROUND}, each once", path=path, field="instance_ids",
+            value=ids.tolist()[:20],
+        )  # fmt: skip
+    return {int(i): object_pose(R[k], t[k], path) for k, i in enumerate(ids)}
 
 
 def open_housecat(name: str, root: Path, part: str) -> HouseCat6D:

@@ -13,7 +13,7 @@ import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -104,17 +104,22 @@ def read_photos(root: Path, subset: Subset) -> list[OrderedPhoto]:
     documents: dict[str, tuple[_Document, Path]] = {}
     digests: dict[str, dict[str, str]] = {}
     for name, data, path in _files(root):
-        key = Path(name).name
-        if key.endswith(_IMAGE):
+        file = Path(name).name
+        found: Any
+        if file.endswith(_IMAGE):
             header = header_of(data, path)  # images themselves are not kept
-            key = key.removesuffix(_IMAGE)
-            sizes[key] = header.width, header.height
-            digests.setdefault(key, {})["image"] = digest_bytes(data)
+            key, table, found = file.removesuffix(_IMAGE), sizes, (header.width, header.height)
         else:
             document = decode_document(data, _Document, path=path)
-            key = key.removesuffix(_TUPLES)
-            documents[key] = document, path
-            digests.setdefault(key, {})["tuples"] = digest_bytes(data)
+            key, table, found = file.removesuffix(_TUPLES), documents, (document, path)
+        if key in table:  # of another part, whose photos have the same numbers
+            raise ToolkitError(
+                "two files of one photo", path=path, value=file,
+                hint="give the folder of one part; keep the archives or the unpacked files",
+            )  # fmt: skip
+        table[key] = found
+        kind = "image" if table is sizes else "tuples"
+        digests.setdefault(key, {})[kind] = digest_bytes(data)
     if not (sizes or documents):
         raise ToolkitError(
             "no photo of LayeredDepth is here", path=root,

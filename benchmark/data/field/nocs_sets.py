@@ -26,6 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data.field.places import whole_number
 from benchmark.data.field.source import (
     COLOR,
     MASK,
@@ -228,21 +229,21 @@ class NocsFrames(FieldFrames):
             words = line.split()
             if not words:
                 continue
-            right = len(words) in (3, 4) and words[0].isdigit() and words[1].isdigit()
+            number_of, class_of = map(whole_number, (*words, "")[:2])
             if (
-                not right
-                or not int(words[0]) < BACKGROUND
-                or not int(words[1]) <= len(CLASSES)
+                len(words) not in (3, 4)
+                or not 0 <= number_of < BACKGROUND
+                or not 0 <= class_of <= len(CLASSES)
                 or any("/" in w or w.startswith(".") for w in words[2:])
-                or int(words[0]) in found
+                or number_of in found
             ):
                 raise ToolkitError(
                     "expected instance class name, or instance class synset model", path=path,
                     field=f"line {number}", value=line[:60],
                     hint=f"ids below {BACKGROUND}, each once; classes 0 to {len(CLASSES)}",
                 )  # fmt: skip
-            if int(words[1]):
-                found[int(words[0])] = self._named(CLASSES[int(words[1]) - 1], words[2:])
+            if class_of:
+                found[number_of] = self._named(CLASSES[class_of - 1], words[2:])
         return dict(sorted(found.items()))
 
     def _named(self, category: str, names: list[str]) -> _Listed:
@@ -270,10 +271,12 @@ def _beside(top: Path, name: str) -> Path:
 def _filed(path: Path, ids: list[int]) -> dict[int, _Label]:
     """Labels of the objects of a mask, in the order of their ids."""
     document: Any = read_pickle(path)
+    if not isinstance(document, dict):
+        raise ToolkitError("expected gt_RTs (n, 4, 4)", path=path)
     try:
         matrices = array_in(document["gt_RTs"], path, "gt_RTs").reshape(-1, 4, 4)
         shown = document.get("handle_visibility")
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, ValueError) as error:
         raise ToolkitError("expected gt_RTs (n, 4, 4)", path=path) from error
     handles = None if shown is None else array_in(shown, path, "handle_visibility").ravel()
     for field, rows in (("gt_RTs", matrices), ("handle_visibility", handles)):

@@ -23,6 +23,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
+from benchmark.data.field.places import camera_of, object_pose, whole_number
 from benchmark.data.field.source import (
     COLOR,
     MASK,
@@ -30,9 +31,7 @@ from benchmark.data.field.source import (
     FieldFrames,
     Files,
     Maps,
-    camera_of,
     known_ids,
-    pose_of,
     read_field_depth,
     read_ids,
     render_objects,
@@ -137,7 +136,7 @@ class PhoCaL(FieldFrames):
     def _poses(self, scene: SceneFolder, stem: str) -> dict[int, SE3]:
         path = Path(scene.path) / _LABELS
         return {
-            i: pose_of(np.reshape(label.cam_R_m2c, (3, 3)), label.cam_t_m2c, path)
+            i: object_pose(np.reshape(label.cam_R_m2c, (3, 3)), label.cam_t_m2c, path)
             for i, label in self._labels(scene, stem).items()
         }
 
@@ -165,14 +164,10 @@ class PhoCaL(FieldFrames):
         path = Path(scene.path) / _LABELS
         every = read_document(path, dict[str, list[_Label]])
         # Third parties read the number of the frame; names with zeros in front mean the same.
-        mine = next((rows for key, rows in every.items() if _number(key) == _number(stem)), None)
+        mine = next((rows for key, rows in every.items() if whole_number(key) == int(stem)), None)
         if mine is None or len(mine) >= BACKGROUND:
             raise ToolkitError(f"no labels of 1 to {BACKGROUND - 1} objects", path=path, field=stem)
         return dict(enumerate(mine, start=1))
-
-
-def _number(name: str) -> int:
-    return int(name) if name.isdecimal() else -1
 
 
 def open_phocal(name: str, root: Path, part: Part) -> PhoCaL:
@@ -194,7 +189,7 @@ def open_phocal(name: str, root: Path, part: Part) -> PhoCaL:
             path.stem
             for kind in _FOLDERS.values()
             for path in folder.glob(kind.format("*"))
-            if path.stem.isdecimal()
+            if whole_number(path.stem) >= 0
         }
         path = folder / _SPLIT
         arrays = read_npz(path)

@@ -25,7 +25,7 @@ from benchmark.data.field.syn_todd import (
     world_pose,
 )
 from benchmark.data.frame import BACKGROUND, Instance, Material
-from benchmark.data.loading import FrameIndex, SceneFolder
+from benchmark.data.loading import SceneFolder, index_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.importers.foreign_files import natural_key
@@ -147,7 +147,7 @@ def open_rendered_todd(name: str, root: Path) -> RenderedTodd:
         root: folder of the scenes, or one above it.
     """
     forms = [re.compile(re.escape(n).replace(r"\{\}", r"(\d+)")) for n in (_LEFT, _DEPTH)]
-    scenes: list[SceneFolder] = []
+    scenes: dict[Path, tuple[str, ...]] = {}
     for folder in (p for top in (root, *folders_in(root)) for p in (top, *folders_in(top))):
         stems = {
             match[1]
@@ -155,8 +155,7 @@ def open_rendered_todd(name: str, root: Path) -> RenderedTodd:
             for form in forms
             if (match := form.fullmatch(path.name))
         }
-        if stems and str(folder) not in {s.path for s in scenes}:
-            ordered = tuple(sorted(stems, key=natural_key))
-            scenes.append(SceneFolder(folder.name, str(folder), ordered))
-    ordered_scenes = sorted(scenes, key=lambda s: natural_key(s.path))
-    return RenderedTodd(name, FrameIndex(tuple(ordered_scenes)))
+        if stems:
+            scenes[folder] = tuple(sorted(stems, key=natural_key))
+    found = sorted(scenes.items(), key=lambda item: natural_key(str(item[0])))
+    return RenderedTodd(name, index_of(root, found))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from benchmark.data.frame import BACKGROUND, DepthFrame, Instance
 from benchmark.data.labelled import MeshFile
@@ -19,11 +19,9 @@ from benchmark.data.loading import NO_COLOR, NO_DEPTH, FrameIndex, SceneFolder, 
 from benchmark.data.splits import DepthSource, FrameKey, SceneFiles, Split, where_to_get
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
-from std_toolkit.geometry.se3 import nearest_rotation
 from std_toolkit.importers.depth_files import read_foreign_depth
 from std_toolkit.importers.depth_survey import DepthSurveySettings
 from std_toolkit.io.images import image_size, read_color, read_depth, read_png
-from std_toolkit.log import logger
 
 # Files of a frame by content; those whose content is listed in `optional` may be missing.
 Files = dict[str, Path]
@@ -258,79 +256,6 @@ def read_ids(path: Path, channel: int | None = None) -> NDArray[np.integer[Any]]
 def known_ids(mask: NDArray[np.integer[Any]], ids: Sequence[int]) -> NDArray[np.uint8]:
     """Return a mask of these ids, `BACKGROUND` elsewhere."""
     return np.where(np.isin(mask, list(ids)), mask, BACKGROUND).astype(np.uint8)
-
-
-def camera_of(K: ArrayLike, size: tuple[int, int], path: Path) -> Camera:
-    """Return a camera from a 3x3 matrix.
-
-    Raises:
-        ToolkitError: not such a matrix, or it does not fit the image.
-    """
-    matrix = np.asarray(K, dtype=np.float64)
-    if matrix.shape != (3, 3) or abs(matrix[0, 1]) > 1e-6 or abs(matrix[2, 2] - 1) > 1e-6:
-        raise ToolkitError("not a 3x3 matrix of a pinhole camera", path=path, value=matrix.shape)
-    try:
-        return Camera(*size, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
-    except ToolkitError as error:
-        raise error.revised(path=path) from error
-
-
-def pose_of(R: ArrayLike, t: ArrayLike, path: Path) -> SE3:
-    """Return a pose; a rotation that is a little off is made exact.
-
-    Args:
-        R: (3, 3) rotation.
-        t: 3 metres.
-        path: of the file, for errors.
-
-    Raises:
-        ToolkitError: no rotation.
-    """
-    try:
-        return SE3(nearest_rotation(R), np.asarray(t, np.float64).reshape(3))
-    except (ToolkitError, ValueError) as error:
-        raise ToolkitError(f"no pose: {error}", path=path) from error
-
-
-# Unit that was told of the places of each set in this process, and the file that told it.
-_told: dict[Path, tuple[float, Path]] = {}
-_UNITS = {1.0: "metres", 0.001: "millimetres"}
-
-
-def unit_of_place(t: ArrayLike, path: Path, data: Path) -> float:
-    """Return the metres per number of a place before the camera, for sets that do not state it.
-
-    A depth camera sees from centimetres to metres: numbers below 10 are metres, above 50 mm. The
-    unit is logged once for each set, and all files of a set have one.
-
-    Args:
-        t: x, y, z in the camera's frame, z forward.
-        path: of the file, for errors.
-        data: folder of the set or of its sequence.
-
-    Raises:
-        ToolkitError: behind the camera, neither, or another unit than earlier files of the set.
-    """
-    z = float(np.asarray(t, np.float64).ravel()[2])
-    if not (0.01 < z < 10 or 50 < z < 10_000):
-        raise ToolkitError(
-            "an object stands before the camera, in metres or in millimetres", path=path,
-            field="translation", value=f"z = {z:g}",
-        )  # fmt: skip
-    unit = 1.0 if z < 10 else 0.001
-    if data not in _told:
-        _told[data] = unit, path
-        logger.warning(
-            "%s: the set does not state the unit of its poses; an object at z = %g of %s tells %s",
-            data, z, path.name, _UNITS[unit],
-        )  # fmt: skip
-    before, first = _told[data]
-    if unit != before:
-        raise ToolkitError(
-            f"a place in {_UNITS[unit]}, where {first.name} has {_UNITS[before]}", path=path,
-            field="translation", value=f"z = {z:g}",
-        )  # fmt: skip
-    return unit
 
 
 def render_objects(

@@ -24,21 +24,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.data.field.source import (
-    COLOR,
-    MASK,
-    TRUTH,
-    FieldFrames,
-    Files,
-    Maps,
-    camera_of,
-    known_ids,
-    pose_of,
-)
+from benchmark.data.field.places import camera_of, pose_of
+from benchmark.data.field.source import COLOR, MASK, TRUTH, FieldFrames, Files, Maps, known_ids
 from benchmark.data.frame import BACKGROUND, Instance, Material
 from benchmark.data.loading import FrameIndex, SceneFolder, check_same_size
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.importers.foreign_files import natural_key
 from std_toolkit.io.images import decode_color
 from std_toolkit.io.plain_pickle import array_in, read_pickle
 
@@ -46,7 +38,7 @@ Part = Literal["train", "val", "test"]
 
 FARTHEST_M = 3.0
 BAD_FRAMES = ("16346", "131150", "133800", "146643")
-_PICKLE = re.compile(r"(\d+)\.pickle\.zstd")
+_PICKLE = re.compile(r"([0-9]{1,9})\.pickle\.zstd")
 _MODULES = ("dataloaders.template", "src.lib.datapoint", "simnet.lib.datapoint")
 RECORDS = tuple(
     (module, name)
@@ -74,6 +66,11 @@ class SynTodd(FieldFrames):
         image = array_in(left, path, "left_color")
         if image.ndim != 3 or image.shape[2] != 3:
             raise ToolkitError("no colour image", path=path, field="left_color", value=image.shape)
+        if not ((image >= 0) & (image <= 255) & (image % 1 == 0)).all():
+            raise ToolkitError(
+                "a colour image holds whole numbers from 0 to 255", path=path, field="left_color",
+                value=[float(image.min()), float(image.max())],
+            )  # fmt: skip
         return image.astype(np.uint8)
 
     def maps(self, scene: SceneFolder, stem: str, files: Mapping[str, Path]) -> Maps:  # noqa: ARG002
@@ -182,7 +179,12 @@ def world_pose(filed: Any, path: Path) -> SE3 | None:
         return None
     t = array_in(place, path, "camera_location").ravel()
     q = array_in(turn, path, "quaternion_WXYZ").ravel()
-    if t.shape != (3,) or q.shape != (4,) or not abs(np.linalg.norm(q) - 1) < 1e-3:
+    if (
+        t.shape != (3,)
+        or not np.isfinite(t).all()
+        or q.shape != (4,)
+        or not abs(np.linalg.norm(q) - 1) < 1e-3
+    ):
         raise ToolkitError("no pose of the camera", path=path, field="quaternion_WXYZ")
     return SE3.from_quat(q / np.linalg.norm(q), t) @ SE3.from_matrix(_OPENCV)
 
@@ -213,7 +215,11 @@ def _linked(
 ) -> dict[int, tuple[str, NDArray[np.float64]]]:
     """Name and matrix of the objects by mask id, where box and pixels belong together."""
     named, boxes = [], []
-    for item in field_of(record, path, "detections") or []:
+    listed = field_of(record, path, "detections") or []
+    if not isinstance(listed, list | tuple) or len(listed) > BACKGROUND:
+        raise ToolkitError(f"expected a list of at most {BACKGROUND}", path=path,
+                           field="detections")  # fmt: skip
+    for item in listed:
         name = item.get("object_name") if isinstance(item, dict) else None
         if not name or item.get("bbox") is None:  # the table has no name
             continue
@@ -267,12 +273,12 @@ def open_syn_todd(name: str, root: Path, part: Part) -> SynTodd:
     wanted = (f"synthetic_{part}_pkl", part)
     places = (root, *(p for top in (root, *folders_in(root)) for p in folders_in(top)))
     top = next((p for p in places if p.name in wanted and any(p.glob("*.pickle.zstd"))), None)
-    scenes: dict[int, list[int]] = {}
+    scenes: dict[int, list[str]] = {}
     for path in () if top is None else top.glob("*.pickle.zstd"):
         if match := _PICKLE.fullmatch(path.name):
-            scenes.setdefault(int(match[1]) // 100, []).append(int(match[1]))
+            scenes.setdefault(int(match[1]) // 100, []).append(match[1])
     listed = tuple(
-        SceneFolder(str(scene), str(top), tuple(map(str, sorted(scenes[scene]))))
+        SceneFolder(str(scene), str(top), tuple(sorted(scenes[scene], key=natural_key)))
         for scene in sorted(scenes)
     )
     return SynTodd(name, FrameIndex(listed))

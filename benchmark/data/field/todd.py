@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data.field.places import pose_of, unit_of_place, whole_number
 from benchmark.data.field.source import (
     COLOR,
     MASK,
@@ -31,9 +32,7 @@ from benchmark.data.field.source import (
     Files,
     Maps,
     known_ids,
-    pose_of,
     read_ids,
-    unit_of_place,
 )
 from benchmark.data.frame import BACKGROUND, Instance, Material
 from benchmark.data.loading import FrameIndex, SceneFolder, check_same_size, read_depth_map
@@ -93,11 +92,12 @@ class Todd(FieldFrames):
             return {}
         found = {}
         for key, item in read_document(path, dict[str, _Object]).items():
-            if not (key.isdecimal() and (int(key) + 1) * _STEP < BACKGROUND):
+            mask_id = (whole_number(key) + 1) * _STEP
+            if not 0 < mask_id < BACKGROUND:
                 raise ToolkitError("expected the number of an object", path=path, field=key)
             T = np.array(item.pose)
             t = T[:3, 3] * unit_of_place(T[:3, 3], path, Path(scene.path))
-            found[(int(key) + 1) * _STEP] = pose_of(T[:3, :3], t, path)
+            found[mask_id] = pose_of(T[:3, :3], t, path)
         return dict(sorted(found.items()))
 
 

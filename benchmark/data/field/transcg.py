@@ -27,6 +27,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.data.field.places import camera_of
 from benchmark.data.field.source import (
     COLOR,
     MASK,
@@ -35,7 +36,6 @@ from benchmark.data.field.source import (
     FieldFrames,
     Files,
     Maps,
-    camera_of,
     read_field_depth,
     read_ids,
 )

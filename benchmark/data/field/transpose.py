@@ -25,7 +25,9 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from benchmark.data.field.places import camera_of, pose_of, unit_of_place, whole_number
 from benchmark.data.field.source import (
     COLOR,
     RAW,
@@ -33,15 +35,12 @@ from benchmark.data.field.source import (
     FieldFrames,
     Files,
     Maps,
-    camera_of,
-    pose_of,
     read_field_depth,
     read_ids,
-    unit_of_place,
 )
 from benchmark.data.frame import BACKGROUND, Instance, Material
 from benchmark.data.labelled import MeshFile
-from benchmark.data.loading import FrameIndex, SceneFolder, check_same_size
+from benchmark.data.loading import SceneFolder, check_same_size, index_of
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.importers.foreign_files import natural_key
@@ -145,7 +144,8 @@ class TRansPose(FieldFrames):
     def camera_pose(self, index: int) -> SE3 | None:
         """Return the pose of the hand times that of the camera in it, in the arm's frame.
 
-        That both are in metres is not verified.
+        The units are not stated. An arm reaches less than 10 m, and its hand is not within 10 mm of
+        its base; a camera is less than a metre from the hand, and not within a millimetre.
         """
         scene, stem = self.index.at(index)
         hand, fixed = Path(scene.path) / "World2EEs.json", Path(scene.path) / "extrinsic.json"
@@ -157,8 +157,8 @@ class TRansPose(FieldFrames):
         if mounted is None or at is None:
             return None
         T = np.reshape(mounted, (4, 4))
-        T_world_hand = pose_of(np.reshape(at.rot, (3, 3)), at.tra, hand)
-        return T_world_hand @ pose_of(T[:3, :3], T[:3, 3], fixed)
+        T_world_hand = pose_of(np.reshape(at.rot, (3, 3)), _metres(at.tra, 10), hand)
+        return T_world_hand @ pose_of(T[:3, :3], _metres(T[:3, 3], 1), fixed)
 
     def notes(self) -> Sequence[str]:
         """See `FieldFrames`."""
@@ -169,11 +169,17 @@ class TRansPose(FieldFrames):
         return Path(scene.path) / _CAMERA[self.side] / "camera_info.json"
 
 
+def _metres(t: ArrayLike, farthest_m: float) -> NDArray[np.float64]:
+    """A translation in metres: numbers beyond what it can be in metres are millimetres."""
+    found = np.asarray(t, np.float64)
+    return found if np.linalg.norm(found) < farthest_m else found / 1000
+
+
 def _objects(path: Path) -> dict[int, _Object]:
     """Objects of a frame by their place in the list."""
     found = {}
     for key, item in read_document(path, dict[str, _Object]).items():
-        if not (key.isdecimal() and int(key) < BACKGROUND):
+        if not 0 <= whole_number(key) < BACKGROUND:
             raise ToolkitError(f"expected a number below {BACKGROUND}", path=path, field=key)
         if not item.obj_name or "/" in item.obj_name or item.obj_name.startswith("."):
             raise ToolkitError(
@@ -206,8 +212,8 @@ def open_transpose(name: str, root: Path, side: Side, part: Part) -> TRansPose:
         }
         if stems:
             ordered = tuple(sorted(stems, key=natural_key))
-            scenes.append(SceneFolder(folder.name, str(folder), ordered))
-    return TRansPose(name, FrameIndex(tuple(scenes)), side=side, models=_models(root))
+            scenes.append((folder, ordered))
+    return TRansPose(name, index_of(root, scenes), side=side, models=_models(root))
 
 
 def _sequences(folder: Path, camera: str, depth: int) -> Iterator[Path]:

@@ -306,6 +306,16 @@ def test_a_damaged_set_is_one_line(
     assert "\n" not in str(error.value) and not (tmp_path / "7.tuples.json").exists()
 
 
+def test_two_parts_whose_photos_have_the_same_numbers(tmp_path: Path) -> None:
+    """Else the photos of the second one would stand for those of the first one."""
+    write_set(tmp_path / "data/validation")
+    write_set(tmp_path / "data/test")
+    write_png(tmp_path / "p", {k: k for k in (1, 3, 5, 7)})
+    with pytest.raises(ToolkitError, match="two files of one photo") as error:
+        scored(tmp_path / "data", tmp_path / "p")
+    assert "validation" in str(error.value)
+
+
 def test_nothing_is_there(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(ToolkitError, match="no photo of LayeredDepth") as error:

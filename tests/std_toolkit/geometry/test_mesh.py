@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -373,3 +374,45 @@ def test_decimal_commas_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0,1 0 0\nv 0 0,1 0\nv 0 0 0,1\nf 1 2 3\n")
     with pytest.raises(ToolkitError, match="decimal commas"):
         load_mesh(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize(
+    "spell",
+    [
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace(" ", "\t"),
+        lambda text: "".join(f"  {line}\n" for line in text.splitlines()),
+        lambda text: "".join(f"{line} # by hand\n" for line in text.splitlines()),
+        lambda text: "".join(f"{line} # by hand\n" for line in text.splitlines())[:-1],
+    ],
+    ids=["line ends", "tabs", "indents", "comments", "comment at the end"],
+)
+def test_an_obj_as_other_programs_spell_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, spell: Callable[[str], str]
+) -> None:
+    text = "v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nv 0 0.1 0\nf 1 2 3\nf 1 3 4\n"
+    (tmp_path / "a.obj").write_bytes(spell(text).encode())
+    mesh = load_mesh(tmp_path / "a.obj")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    np.testing.assert_allclose(mesh.vertices[2], [0.1, 0.1, 0])
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "0/1 1/1 2/1", "1 0//1 2"])
+def test_an_obj_whose_faces_count_from_0_is_refused(tmp_path: Path, face: str) -> None:
+    """Else the last vertex would stand for the first one."""
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nvt 0 0\nf {face}\n")
+    with pytest.raises(ToolkitError, match="counts its corners from 0"):
+        load_mesh(tmp_path / "a.obj")
+
+
+def test_colours_of_a_ply_with_both_names_are_the_usual_ones(tmp_path: Path) -> None:
+    colors = "".join(f"property uchar {c}\n" for c in ("red", "green", "blue", "r", "g", "b"))
+    rows = "".join(f"{xyz} 10 20 30 1 0 0\n" for xyz in ("0 0 0", "0.1 0 0", "0 0.1 0"))
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        f"property float z\n{colors}element face 1\nproperty list uchar int vertex_indices\n"
+        f"end_header\n{rows}3 0 1 2\n"
+    )
+    mesh = load_mesh(tmp_path / "a.ply")
+    assert mesh.visual.vertex_colors[0].tolist() == [10, 20, 30, 255]

@@ -60,6 +60,14 @@ def test_a_chunk_that_unpacks_without_end_is_refused(
         unpack(pack(bytes(2**24)))
 
 
+@pytest.mark.parametrize(("unpack", "pack"), EVERY)
+def test_empty_streams_without_end_are_refused(
+    unpack: Callable[..., bytes], pack: Callable[[bytes], bytes]
+) -> None:
+    with pytest.raises(ToolkitError, match="more than 1000 compressed streams"):
+        unpack(pack(b"") * 1001)
+
+
 def test_a_file_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
