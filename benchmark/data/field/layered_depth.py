@@ -105,6 +105,7 @@ def read_photos(root: Path, subset: Subset) -> list[OrderedPhoto]:
     digests: dict[str, dict[str, str]] = {}
     for name, data, path in _files(root):
         file = Path(name).name
+        table: dict[str, Any]
         found: Any
         if file.endswith(_IMAGE):
             header = header_of(data, path)  # images themselves are not kept
