@@ -76,6 +76,7 @@ BESIDE = {
     "std-annotate merge": {"--out --into": "--out {}/new"},
     "std-annotate open": {"SCENE": "{}/there"},
     "std-bench grasp": {"--data": "--data {}/there", "--dump": "--dump {}/there"},
+    "std-bench order": {"--predictions": "--predictions x={}/there"},
     "std-record record": {"SCENE": "{}/there"},
     "std-restore live": {"--preview --out": "--preview {}/p.jpg"},
     "std-restore restore": {"SOURCES": "{}/there"},

@@ -27,8 +27,6 @@ _REACH, _NEAR = 0.6, 0.12
 
 # Photos that are looked at, spread over all: half a second each.
 _PHOTOS = 24
-# Share of right cells from which a tag is certainly the one near its place.
-_SURE = 0.95
 
 _SET_ON = (
     "rendered photos: 16 and 22 displaced tags in 10 photos of two tumblers, none in 34 of a can, "
@@ -44,6 +42,8 @@ class TagsThroughSettings(Settings):
     """size of a tag from which it is legible"""
     legible: float = limit(0.88, source=_SET_ON)
     """share of the cells of a tag that must be right; two tags of 36h11 differ in 17 % of all"""
+    sure: float = limit(0.95, source="nothing else has as many right cells")
+    """the same from which a tag is the one near its place"""
     displaced_px: float = limit(1.0, unit="px", source=_SET_ON)
     """displacement from which a tag is not at its place"""
     displaced: float = limit(6.0, source=_SET_ON)
@@ -149,7 +149,7 @@ def _read(
 ) -> tuple[float, float] | None:
     """Displacement in pixels of the best match of a tag, and the share of cells that are right."""
     near = _matched(grey, uv, bits, size, _NEAR, [(1.0, 1.0)])
-    if near is not None and near[1] >= _SURE:
+    if near is not None and near[1] >= TagsThroughSettings.current().sure:
         return near
     return _matched(grey, uv, bits, size, _REACH, _scales())
 

@@ -1,7 +1,7 @@
 """Masks of the object in the photos: the user's, or found on the table or before the border."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,18 @@ from std_toolkit.scanning.masks.proven_masks import segment_on_table
 from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
+from std_toolkit.settings import Settings, limit
 
 # Width of the rim of a mask that may lack a part of the object.
 _RIM_PX = 3
 
-# A mask this many times smaller than its photo has steps of as many pixels along the outline.
-_SMALLEST = 8
+
+@dataclass(frozen=True, kw_only=True)
+class MaskFileSettings(Settings):
+    """Masks of the user that are taken."""
+
+    coarsest: float = limit(8.0, source="an outline has steps of as many pixels")
+    """a mask may be so many times smaller than its photo"""
 
 
 def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: int) -> list[View]:
@@ -120,9 +126,10 @@ def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.
                     f"the mask has another shape than its photo, which is {w}x{h}", path=path,
                     value=f"{mask.shape[1]}x{mask.shape[0]}", hint="is it of another photo?",
                 )  # fmt: skip
-            if w > _SMALLEST * mask.shape[1]:
+            coarsest = MaskFileSettings.current().coarsest
+            if w > coarsest * mask.shape[1]:
                 raise ToolkitError(
-                    f"the mask is more than {_SMALLEST} times smaller than its photo, which is "
+                    f"the mask is more than {coarsest:g} times smaller than its photo, which is "
                     f"{w}x{h}", path=path, value=f"{mask.shape[1]}x{mask.shape[0]}",
                     hint="give masks of the size of the photos",
                 )  # fmt: skip
