@@ -141,9 +141,6 @@ class DumpRun(TaskRun[GraspNetData, None]):
     def make(self, device: str) -> None:
         """Create nothing: the grasps are in files."""
 
-    def parts(self, methods: None) -> tuple[object, ...]:  # noqa: ARG002
-        return ()
-
     def manifest(self, data: GraspNetData, methods: None) -> DumpManifest:  # noqa: ARG002
         setup = DumpSetup(
             split=self.split,

@@ -107,9 +107,6 @@ class OrderRun(TaskRun[OrderData, None]):
     def make(self, device: str) -> None:
         """Create nothing: the predictions are in files."""
 
-    def parts(self, methods: None) -> tuple[object, ...]:  # noqa: ARG002
-        return ()
-
     def manifest(self, data: OrderData, methods: None) -> OrderManifest:  # noqa: ARG002
         setup = OrderSetup(
             split=DATA,

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from math import hypot
 
 import msgspec
+import numpy as np
 
+from std_toolkit.arrays import Array
 from std_toolkit.checks.gates.gate import (
     Measured,
     Moved,
@@ -23,10 +25,12 @@ from std_toolkit.checks.gates.gate import (
     listed,
     no_exemption,
 )
+from std_toolkit.checks.gates.hypotheses import JudgeSettings
 from std_toolkit.checks.measure.frame_evidence import FrameEvidence
 from std_toolkit.checks.measure.frame_motion import Displaced
 from std_toolkit.checks.result import CheckWarning, FrameCheck, ObjectCheck, ObjectFrameCheck
 from std_toolkit.options import CheckOptions
+from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import Settings, limit
 
 # Names of frames in a row of the report.
@@ -42,6 +46,8 @@ class FrameGateSettings(Settings):
         source="world seeds 211, 212 and 223 to 229: one frame or two show steel 10 to 61 mm off",
     )
     """steel that fewer frames in a row show elsewhere did not move"""
+    topples: float = limit(3.0, source="what is bumped slides; what falls over moves far")
+    """limits of the displacement below which glass and steel slide on their support"""
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,8 @@ def find_frame_faults(
     frames: Sequence[FrameCheck],
     options: CheckOptions,
     evidence: FrameEvidence,
+    *,
+    up: Array,
 ) -> FrameFaults:
     """Set the faults of frames and of objects in frames.
 
@@ -70,6 +78,7 @@ def find_frame_faults(
         objects, frames: tables of the report.
         options: limits.
         evidence: what contradicts the other frames.
+        up: (3,) normal of the plane on which objects stand, in the world.
     """
     moved = [
         Moved(
@@ -86,7 +95,7 @@ def find_frame_faults(
         )
         for o in objects
         for run in evidence.displaced.get(o.object, ())
-        if not _is_reflection(o, run)
+        if not _is_reflection(o, run, up, options)
     ]
     faults = {(m.object, f): _said(m) for m in moved for f in m.frames}
     return FrameFaults(
@@ -107,10 +116,32 @@ def find_frame_faults(
     )
 
 
-def _is_reflection(item: ObjectCheck, run: Displaced) -> bool:
-    """Whether too few frames of a steel object show it elsewhere: edges of what it reflects."""
-    few = len(run.frames) < FrameGateSettings.current().fewest_reflecting
-    return item.material == "specular" and few
+def _is_reflection(item: ObjectCheck, run: Displaced, up: Array, options: CheckOptions) -> bool:
+    """Whether edges that glass or steel shows, not its own, seem to put it elsewhere.
+
+    So do few frames of steel, and small motions that do not slide on the support.
+    """
+    limits = FrameGateSettings.current()
+    if item.material in DIFFUSE_MATERIALS:
+        return False
+    few = item.material == "specular" and len(run.frames) < limits.fewest_reflecting
+    near = run.mm < limits.topples * options.max_motion_mm
+    return few or (near and not _slides(run, up))
+
+
+def _slides(run: Displaced, up: Array) -> bool:
+    """Whether a motion along the support explains what frames show of glass or steel.
+
+    What is bumped slides and turns about the normal of its support, `up` (3,). The margin of the
+    evidence must exceed chi square of lift and tilts, which reflections and refraction mislead.
+    """
+    limits = JudgeSettings.current()
+    off = np.zeros((3, 6))
+    off[0, :3], off[1:, 3:] = up, np.linalg.svd(up[None])[2][1:]
+    misled = np.diag([limits.misled_mm / 1000] + [np.radians(limits.misled_deg)] * 2) ** 2
+    lifted = off @ run.motion
+    chi2 = lifted @ np.linalg.solve(off @ run.covariance @ off.T + misled, lifted)
+    return bool(chi2 <= run.margin)
 
 
 def _said(moved: Moved) -> str:

@@ -28,6 +28,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
+from std_toolkit.arrays import Array
 from std_toolkit.checks.gates.hypotheses import Weighed
 from std_toolkit.checks.measure.frame_evidence import FrameEvidence
 from std_toolkit.checks.result import (
@@ -81,6 +84,7 @@ class Measured:
         moved: objects that moved.
         unreadable: why the mesh of a labelled object cannot be read, by object id.
         weighed: verdict on the pose of an object by its id, where anything says where it is.
+        up: (3,) normal of the plane on which objects stand, in the world.
     """
 
     summary: SceneSummary
@@ -93,6 +97,7 @@ class Measured:
     moved: Sequence[Moved] = ()
     unreadable: Mapping[int, str] = field(default_factory=dict)
     weighed: Mapping[int, Weighed] = field(default_factory=dict)
+    up: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     @property
     def labelled(self) -> list[ObjectCheck]:

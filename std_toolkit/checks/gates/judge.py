@@ -124,7 +124,8 @@ def judge_scene(
             materials=materials,
             poses=scene.poses,
             unreadable=_unreadable_meshes(scene),
-            evidence=frame_evidence(scene, observed, options, up=planes.up),
+            evidence=frame_evidence(scene, observed, options),
+            up=planes.up,
         )
     )
     return msgspec.structs.replace(
@@ -144,7 +145,7 @@ def judge_rows(measured: Measured) -> result.CheckReport:
         if o.is_labelled and (pose := weigh(o, measured.options)) is not None
     }
     faults = frames.find_frame_faults(
-        measured.objects, measured.frames, measured.options, measured.evidence
+        measured.objects, measured.frames, measured.options, measured.evidence, up=measured.up
     )
     measured = replace(
         measured,

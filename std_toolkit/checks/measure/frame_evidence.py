@@ -25,7 +25,6 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
-from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import Settings, limit
 
 
@@ -41,12 +40,6 @@ class FrameEvidenceSettings(Settings):
     """runs of frames in which each object is looked for"""
     agreement: float = limit(0.3, source="one frame measures the distance weakly")
     """part of its displacement by which an object may miss what a camera explains"""
-    topples: float = limit(3.0, source="what is bumped slides; what falls over moves far")
-    """limits of the displacement below which glass and steel slide on their support"""
-    misled_m: float = limit(0.002, unit="m", source="`judge.misled_mm`")
-    """deviation of their lift by reflections and refraction, besides its own"""
-    misled_rad: float = limit(np.radians(1.8), unit="rad", source="`judge.misled_deg`")
-    """the same of their tilts"""
 
 
 @dataclass(frozen=True)
@@ -68,7 +61,7 @@ class FrameEvidence:
 
 
 def frame_evidence(
-    scene: Scene, observed: Sequence[FrameObservation], options: CheckOptions, *, up: Array
+    scene: Scene, observed: Sequence[FrameObservation], options: CheckOptions
 ) -> FrameEvidence:
     """Find the frames that contradict the other frames of their objects.
 
@@ -76,20 +69,15 @@ def frame_evidence(
         scene: the scene that was measured.
         observed: the measured frames.
         options: limits.
-        up: (3,) normal of the plane on which objects stand, in the world.
     """
-    return _Suspects(scene, observed, options, up).evidence()
+    return _Suspects(scene, observed, options).evidence()
 
 
 class _Suspects:
     def __init__(
-        self,
-        scene: Scene,
-        observed: Sequence[FrameObservation],
-        options: CheckOptions,
-        up: Array,
+        self, scene: Scene, observed: Sequence[FrameObservation], options: CheckOptions
     ) -> None:
-        self.scene, self.options, self.up = scene, options, up
+        self.scene, self.options = scene, options
         self.observed = {f.frame: f for f in observed}
         self.objects: dict[int, ObjectFrames] = {}
         seen = AggregateSettings.current().judged_fraction
@@ -127,16 +115,10 @@ class _Suspects:
             self._ask_objects()
         return FrameEvidence(
             self.camera,
-            {i: runs for i, o in self.objects.items() if (runs := self._believed(i, o.displaced))},
+            {i: o.displaced for i, o in self.objects.items() if o.displaced},
             frozenset(self.right),
             {i: o.unfit for i, o in self.objects.items() if o.unfit},
         )
-
-    def _believed(self, object_id: int, runs: Sequence[Displaced]) -> list[Displaced]:
-        material = self.scene.objects.object(object_id).material
-        if material in DIFFUSE_MATERIALS:
-            return list(runs)
-        return sliding_runs(runs, self.up, self.options)
 
     def _off(self) -> dict[int, set[int]]:
         """Objects that are not at their labels, by frame id."""
@@ -233,25 +215,6 @@ class _Suspects:
             if missed > tolerance:
                 return False
         return True
-
-
-def sliding_runs(runs: Sequence[Displaced], up: Array, options: CheckOptions) -> list[Displaced]:
-    """The runs without small motions off the support, which edges inside of glass imitate.
-
-    What is bumped slides on its support and turns about its normal `up` (3,); what falls over moves
-    far. A run is kept whose margin exceeds chi square of its lift and its tilts.
-    """
-    limits = FrameEvidenceSettings.current()
-    far = limits.topples * options.max_motion_mm
-    off = np.zeros((3, 6))
-    off[0, :3], off[1:, 3:] = up, np.linalg.svd(up[None])[2][1:]
-    misled = np.diag([limits.misled_m] + [limits.misled_rad] * 2) ** 2
-
-    def chi2(run: Displaced) -> float:
-        lifted = off @ run.motion
-        return float(lifted @ np.linalg.solve(off @ run.covariance @ off.T + misled, lifted))
-
-    return [r for r in runs if r.mm >= far or chi2(r) <= r.margin]
 
 
 def _seen_motion(centre: Array, T_world_cam: SE3) -> Array:

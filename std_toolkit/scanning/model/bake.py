@@ -175,7 +175,7 @@ def unwrap(vertices: Array, faces: NDArray[np.int64], size: int, threads: int = 
 
 def vertex_colors(count: int, faces: NDArray[np.int64], texture: Texture) -> NDArray[np.uint8]:
     """RGB (count, 3) of the texture at every vertex."""
-    row, column = _corner_texels(texture)
+    row, column = texels_at(texture, texture.uv)
     color = np.full((count, 3), 128, np.uint8)
     color[faces.ravel()] = texture.image[row, column].reshape(-1, 3)
     return color
@@ -183,17 +183,17 @@ def vertex_colors(count: int, faces: NDArray[np.int64], texture: Texture) -> NDA
 
 def vertex_guessed(count: int, faces: NDArray[np.int64], texture: Texture) -> Mask:
     """(count,) vertices of which no face has a colour that a photo shows."""
-    row, column = _corner_texels(texture)
+    row, column = texels_at(texture, texture.uv)
     guessed = np.ones(count, bool)
     guessed[faces.ravel()[~texture.guessed[row, column].ravel()]] = False
     return guessed
 
 
-def _corner_texels(texture: Texture) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Row and column (F, 3) of the texels at the corners of the faces."""
+def texels_at(texture: Texture, uv: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column (...) of the texels at texture coordinates (..., 2)."""
     size = texture.image.shape[0]
-    column = np.clip((texture.uv[..., 0] * size).astype(np.int64), 0, size - 1)
-    row = np.clip(((1 - texture.uv[..., 1]) * size).astype(np.int64), 0, size - 1)
+    column = np.clip((uv[..., 0] * size).astype(np.int64), 0, size - 1)
+    row = np.clip(((1 - uv[..., 1]) * size).astype(np.int64), 0, size - 1)
     return row, column
 
 

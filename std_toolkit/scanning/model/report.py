@@ -25,7 +25,7 @@ from std_toolkit.html.page import (
 from std_toolkit.html.table import text_table
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import write_document
-from std_toolkit.scanning.model.bake import rendered
+from std_toolkit.scanning.model.bake import rendered, texels_at
 from std_toolkit.scanning.model.write_model import Scan, guessed_name
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.photos.visibility import hull_depth
@@ -174,10 +174,7 @@ def _faults(closed: bool, overlap: float, seen: float) -> list[str]:
 
 def _guessed(scan: Scan, share: NDArray[np.float64]) -> float:
     """Part of the surface whose texture no photo shows, by the middle of its faces."""
-    size = len(scan.texture.guessed)
-    middle = scan.texture.uv.mean(axis=1)
-    column = np.clip((middle[:, 0] * size).astype(np.int64), 0, size - 1)
-    row = np.clip(((1 - middle[:, 1]) * size).astype(np.int64), 0, size - 1)
+    row, column = texels_at(scan.texture, scan.texture.uv.mean(axis=1))
     return float(share[scan.texture.guessed[row, column]].sum())
 
 

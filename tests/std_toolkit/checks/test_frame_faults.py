@@ -17,7 +17,7 @@ from std_toolkit.checks.gates.frames import FrameFaults, find_frame_faults
 from std_toolkit.checks.gates.gate import Measured
 from std_toolkit.checks.gates.judge import judge_rows, judge_scene
 from std_toolkit.checks.inject.faults import Fault, FaultyScene, apply_fault
-from std_toolkit.checks.measure.frame_evidence import FrameEvidence, sliding_runs
+from std_toolkit.checks.measure.frame_evidence import FrameEvidence
 from std_toolkit.checks.measure.frame_motion import Displaced
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame, open_for_work
 from std_toolkit.checks.measure.sensor_depth import DepthShift, common_depth_shift
@@ -36,6 +36,7 @@ from std_toolkit.scene import CameraPoses, Scene
 from std_toolkit.scene.check_flags import read_check_flags
 
 OPTIONS = CheckOptions()
+UP = np.array([0.0, 0.0, 1.0])
 
 
 def make_object(object_id: int, depth_mm: dict[int, float] | None = None) -> ObjectCheck:
@@ -70,7 +71,7 @@ def find(evidence: FrameEvidence, *objects: ObjectCheck, problem: str = "") -> F
         FrameCheck(frame=i, name=f"{i:03d}", status="registered", problem=problem if i == 0 else "")
         for i in range(8)
     ]
-    return find_frame_faults(objects or [make_object(1)], rows, OPTIONS, evidence)
+    return find_frame_faults(objects or [make_object(1)], rows, OPTIONS, evidence, up=UP)
 
 
 def judged(evidence: FrameEvidence) -> CheckReport:
@@ -154,8 +155,8 @@ def test_hidden_frames_are_told_and_no_fault() -> None:
 def test_glass_that_moves_a_little_slides(motion: list[float], mm: float, moved: bool) -> None:
     covariance = np.diag([0.001**2] * 3 + [0.015**2] * 3)
     run = Displaced((3,), 2, 4, np.array(motion), covariance, mm, 9.0, 4.0)
-    up = np.array([0.0, 0.0, 1.0])
-    assert sliding_runs([run], up, OPTIONS) == ([run] if moved else [])
+    found = find(FrameEvidence(displaced={1: [run]}))
+    assert [m.object for m in found.moved] == ([1] if moved else [])
 
 
 def test_depth_is_a_fault_of_its_frame() -> None:
