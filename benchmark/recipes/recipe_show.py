@@ -54,7 +54,7 @@ def perform(options: recipe.RecipeConfig) -> tuple[str | object, Mapping[str, st
     with nullcontext() if trusted else names_of(f"the recipe {options.recipe}"):
         plan = recipe_plan.plan_recipe(replace(options, devices=devices))
         if options.plan:
-            return plan_text(plan), {}
+            return plan_text(plan), {e.title: e.problem for e in plan.entries if e.problem}
         outcome = recipe_run.run_recipe(
             plan, options.machine.shown(), options.jobs,
             after=lambda outcome: tables.append(recipe_page.write_pages(plan, outcome)),

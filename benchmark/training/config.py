@@ -24,6 +24,10 @@ CONFIG = "config.json"
 _NAME = re.compile(r"[\w.-]+|[^\0\n]+:[A-Za-z_]\w*")
 
 
+# Larger numbers are damage: no published training comes near them.
+_MOST = {"learning_rate": 10.0, "batch_size": 1_000_000, "epochs": 1_000_000}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Optimization:
     """Optimizer and schedule.
@@ -63,6 +67,12 @@ class Optimization:
     phase_epochs: Mapping[str, int] = field(default_factory=dict)
     phase_rates: Mapping[str, float] = field(default_factory=dict)
     encoder_rate: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, most in _MOST.items():
+            value = getattr(self, name)
+            if not 0 < value <= most:
+                raise ValueError(f"{name} must be above 0 and at most {most:g} (got {value:g})")
 
     def make(self, network: nn.Module) -> torch.optim.Optimizer:
         """The optimizer of the network's parameters."""

@@ -44,6 +44,11 @@ def read_intrinsics(
             )
         fx, fy, cx, cy = (float(p) for p in numbers)
         given, note = y_down(Intrinsics(fx, fy, cx, cy))
+        if min(given.fx, given.fy) <= 0:
+            raise ToolkitError(
+                "focal lengths must be positive", field="--intrinsics", value=text,
+                hint="the order is fx,fy,cx,cy",
+            )  # fmt: skip
         if note:
             logger.warning("%s: %s", text, note)
         return given

@@ -179,6 +179,16 @@ def test_a_set_that_no_variant_uses_is_checked(
     assert re.search(told, capsys.readouterr().err)
 
 
+def test_a_plan_of_what_cannot_run_ends_with_status_1(tmp_path: Path, capsys) -> None:
+    recipe = tmp_path / "mine.toml"
+    words = ["recipe", str(recipe), "--plan", "--scale", "tiny", "--out", str(tmp_path / "out")]
+    recipe.write_text(PLAIN)
+    assert main(words) == 0
+    recipe.write_text(PLAIN.replace('method = "', 'method = "no-'))
+    assert main(words) == 1
+    assert "cannot be trained here" in capsys.readouterr().err
+
+
 def test_a_scale_without_a_set_is_refused(tmp_path: Path) -> None:
     text = Path(recipe_module.__file__).with_name("scales.toml").read_text()
     path = tmp_path / "scales.toml"

@@ -178,3 +178,17 @@ def test_a_damaged_training_is_one_line(run: Path, tmp_path: Path, name: str) ->
             assert name in str(error)
         else:  # the log may be short
             assert name == "steps.csv"
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("learning_rate", 1e308), ("learning_rate", 0), ("batch_size", 10**12)]
+)
+def test_numbers_that_no_training_has_are_refused(
+    run: Path, tmp_path: Path, field: str, value: float
+) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    config = json.loads((run / "config.json").read_text())
+    config["optimization"][field] = value
+    (tmp_path / "run" / "config.json").write_text(json.dumps(config))
+    with pytest.raises(ToolkitError, match=rf"config\.json: .*{field} must be above 0"):
+        export_weights(tmp_path / "run", tmp_path / "out")

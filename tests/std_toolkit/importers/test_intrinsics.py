@@ -183,3 +183,9 @@ def test_a_size_in_words_is_width_and_height(tmp_path) -> None:
     path = tmp_path / "k.json"
     path.write_text('{"fx": 60, "fy": 61, "cx": 31, "cy": 24, "resolution": "128x96"}')
     assert read_intrinsics(str(path)).size == (128, 96)
+
+
+@pytest.mark.parametrize("text", ["-300,-300,160,120", "0,300,160,120", "300,0,160,120"])
+def test_focal_lengths_that_no_camera_has(text) -> None:
+    with pytest.raises(ToolkitError, match="--intrinsics: focal lengths must be positive"):
+        read_intrinsics(text)
