@@ -16,7 +16,7 @@ import pytest
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Similarity, rotation_angle, umeyama
-from std_toolkit.poses import PoseOptions
+from std_toolkit.poses import PoseOptions, mapping
 from std_toolkit.poses.pose_gates import (
     _at_least,
     _at_most,
@@ -93,6 +93,21 @@ def test_covariance_predicts_the_error(solved: Scene, recording) -> None:
         error = fit.transform_pose(T).inverse() @ truth[pose.frame]
         ratio.append(np.abs(error.log()) / sigma)
     assert 0.05 < np.median(ratio) < 5
+
+
+@pytest.mark.slow
+def test_many_keyframes_are_mapped_as_well(copy: Scene, recording, monkeypatch) -> None:
+    """They are adjusted less often while the model grows."""
+    asked = []
+    monkeypatch.setattr(mapping, "_MANY_IMAGES", 2)
+    less = mapping._adjust_less
+    monkeypatch.setattr(mapping, "_adjust_less", lambda p: (less(p), asked.append(p)))
+    shutil.rmtree(copy.root / ".std")
+    poses = estimate_poses(copy, SERIAL)
+    assert asked[0].ba_global_frames_ratio == 1.5
+    assert failed_gates(poses) == []
+    assert len(copy.registered_frames()) == len(recording.colors)
+    check_against_truth(copy, recording.truth, metric=5e-3)
 
 
 def test_a_second_run_does_nothing(copy: Scene, caplog) -> None:
