@@ -9,6 +9,7 @@ import trimesh
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.scanning.vessel.inside import StatedInside, with_inside
 from std_toolkit.scanning.vessel.outline_rays import mask_outline
 from std_toolkit.scanning.vessel.revolve import fit_outline_points, fit_revolution
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
@@ -50,7 +51,8 @@ def views_of(mesh: trimesh.Trimesh, count: int = 6) -> list[OutlineView]:
 
 @pytest.fixture(scope="module")
 def fitted() -> RevolvedSurface:
-    return fit_revolution(views_of(tumbler()), wall_m=0.002)
+    views = views_of(tumbler())
+    return with_inside(fit_revolution(views), views, StatedInside(wall_mm=2))
 
 
 @pytest.mark.slow
