@@ -14,6 +14,7 @@ import numpy as np
 
 from std_toolkit.arrays import Array, Mask
 from std_toolkit.errors import ToolkitError
+from std_toolkit.scanning.vessel.foot import with_foot
 from std_toolkit.scanning.vessel.outline_rays import (
     OutlineRays,
     TurnedProfile,
@@ -125,6 +126,7 @@ def _fitted(rays: OutlineRays, state: TurnedProfile, most_outside: float) -> Rev
         state = _with_cone(_lowest_top(rays, state, sigma))
         state, sigma = _settled(rays, state, sigma)
         state, sigma = _settled(rays, _without_cone(rays, state), sigma)
+    state, hidden = with_foot(rays, state, limits.largest_px)
     gap = ray_gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
     kept = np.abs(pixels) <= max(limits.outside * sigma, limits.largest_px)
@@ -143,7 +145,7 @@ def _fitted(rays: OutlineRays, state: TurnedProfile, most_outside: float) -> Rev
         heights=state.heights,
         radii=state.radii,
         deviation_m=deviation,
-        seen=seen,
+        seen=seen & ~hidden,
         outline_px=rms,
         outside=outside,
     )

@@ -7,8 +7,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from std_toolkit.geometry import SE3
-from std_toolkit.scanning.vessel.revolved_surface import RevolvedSurface
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 
 Line = list[tuple[float, float]]
 
@@ -52,3 +53,30 @@ def surface_of(outer: Line) -> RevolvedSurface:
         T_world_axis=SE3.identity(), heights=heights, radii=radii, deviation_m=0 * radii,
         seen=radii > 0, outline_px=0.3, outside=0.0,
     )  # fmt: skip
+
+
+def outlines(
+    mesh: trimesh.Trimesh, camera: Camera, target: NDArray[np.float64], distance: float, count: int
+) -> list[OutlineView]:
+    """Views with exact masks around a target (3,), by turns from 20 and 50 degrees above it."""
+    caster = RayCaster(mesh.vertices, mesh.faces)
+    row, column = np.mgrid[: camera.height, : camera.width]
+    rays = camera.unproject(np.stack([column, row], axis=-1))
+    views = []
+    for k in range(count):
+        azimuth, elevation = 2 * np.pi * k / count, np.deg2rad((20, 50)[k % 2])
+        away = np.array(
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ]
+        )
+        right = np.cross(-away, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        turn = np.stack([right, np.cross(-away, right), -away], axis=1)
+        pose = SE3(turn, target + distance * away)
+        d = rays @ pose.R.T
+        hits = caster.cast(np.concatenate([np.broadcast_to(pose.t, d.shape), d], axis=-1))
+        views.append(OutlineView(camera, pose, np.isfinite(hits.distance)))
+    return views
