@@ -28,6 +28,7 @@ from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.images import read_color
+from std_toolkit.scanning.vessel.inside import StatedInside, with_inside
 from std_toolkit.scanning.vessel.revolve import fit_revolution
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView
 
@@ -229,15 +230,14 @@ def measure(
             for pose, mask, image in zip(poses, masks, images, strict=True)
         ]
         start = time.process_time()
-        found = fit_revolution(given)
+        found = with_inside(fit_revolution(given), given, StatedInside())
         seconds = time.process_time() - start
         fitted, faces = found.mesh()
         apart, closed = apart_mm(fitted, faces, poses, camera, true)
-        wall = f"{1000 * found.wall_m:.2f}" + ("" if found.wall_seen else " (guess)")
         print(
             f"{name:12s} {px:4.1f} px  median {np.median(apart):.3f}  p95 "
-            f"{np.percentile(apart, 95):.2f} mm  outline {found.outline_px:.2f} px  wall {wall} mm"
-            f"  {closed}  {seconds:.0f} s",
+            f"{np.percentile(apart, 95):.2f} mm  outline {found.outline_px:.2f} px"
+            f"  wall {found.facts['wall']}  {closed}  {seconds:.0f} s",
             flush=True,
         )
 

@@ -55,6 +55,12 @@ class ScanOptions:
     mug or a bowl: its hollow, where plain walls show no depth, is the outside moved inwards. With
     --revolve, of the wall alone (default: no hollow but what photos show; with --revolve, as its
     rim shows)"""
+    base_mm: Annotated[float, msgspec.Meta(gt=0, le=1000)] | None = None
+    """with --revolve: thickness in millimetres of the base of the vessel at its middle, from the
+    table to the floor of its inside (default: a guess)"""
+    inside_depth_mm: Annotated[float, msgspec.Meta(gt=0, le=1000)] | None = None
+    """with --revolve: depth of the inside in millimetres, measured with a ruler from the rim to the
+    floor, instead of --base-mm"""
     category: str = "other"
     """category of the object, which turns its frame: the handle of a "mug" is on the side of +x"""
     faces: Annotated[int, msgspec.Meta(ge=100, le=2_000_000)] = 20_000
@@ -82,6 +88,13 @@ class ScanOptions:
                 "needs the board, which tells what is upright", field="--wall-mm",
                 value=self.wall_mm, hint="leave it out with --cameras",
             )  # fmt: skip
+        inside = {"--base-mm": self.base_mm, "--inside-depth-mm": self.inside_depth_mm}
+        for option, stated in inside.items():
+            if stated is not None and not self.revolve:
+                raise ToolkitError(
+                    "is of a vessel scanned with --revolve", field=option, value=stated,
+                    hint="add --revolve, or leave it out",
+                )  # fmt: skip
         for option, given in (("--pick", self.pick), ("--box", self.box)):
             if given is not None and self.board is None:
                 raise ToolkitError(

@@ -35,6 +35,7 @@ from std_toolkit.scanning.surface.measured_surface import (
 )
 from std_toolkit.scanning.surface.turned_over import find_turn
 from std_toolkit.scanning.vessel.glass_outlines import find_vessel
+from std_toolkit.scanning.vessel.inside import StatedInside, with_inside
 from std_toolkit.scanning.vessel.revolve import fit_revolution
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
@@ -238,19 +239,29 @@ def _vessel(
     """The surface of revolution of an unsprayed vessel, and the views with its masks.
 
     Raises:
-        ToolkitError: without a board, or the object is no surface of revolution.
+        ToolkitError: without a board, the object is no surface of revolution, or what is stated of
+            its inside is not in it.
     """
     if posed.on_table and not (options.masks or options.pick or options.box):
-        return find_vessel(posed.views, posed.corners, wall_m=options.wall_m, threads=threads)
+        found, views = find_vessel(posed.views, posed.corners, threads=threads)
+        return _with_inside(options, found, views), views
     if not posed.on_table:
         raise ToolkitError("needs the board, which tells what is upright", field="--revolve")
     views = object_masks(options, posed, work, threads)
-    return _vessel_of_masks(views, options.wall_m), views
+    return _with_inside(options, fit_revolution(_outline_views(views)), views), views
 
 
-def _vessel_of_masks(views: Sequence[View], wall_m: float | None = None) -> RevolvedSurface:
-    outlines = [OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views]
-    return fit_revolution(outlines, wall_m=wall_m)
+def _with_inside(
+    options: ScanOptions, found: RevolvedSurface, views: Sequence[View]
+) -> RevolvedSurface:
+    stated = StatedInside(
+        wall_mm=options.wall_mm, base_mm=options.base_mm, depth_mm=options.inside_depth_mm
+    )
+    return with_inside(found, _outline_views(views), stated)
+
+
+def _outline_views(views: Sequence[View]) -> list[OutlineView]:
+    return [OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views]
 
 
 def _revolved(
@@ -260,7 +271,7 @@ def _revolved(
     posed.facts["outline residual"] = f"{found.outline_px:.2f} px"
     posed.facts["outline left out"] = f"{100 * found.outside:.1f} %"
     posed.facts["deviation of the radii"] = f"{1000 * float(np.median(found.deviation_m)):.2f} mm"
-    posed.facts["wall"] = f"{1000 * found.wall_m:.1f} mm" + ("" if found.wall_seen else ", guessed")
+    posed.facts.update(found.facts)
     posed.warnings.extend(found.warnings)
     vertices, faces = found.mesh()
     return vertices, faces, np.zeros(len(faces), np.float32)

@@ -58,14 +58,13 @@ class GlassOutlineSettings(Settings):
 
 
 def find_vessel(
-    views: Sequence[View], corners: Array, *, wall_m: float | None = None, threads: int
+    views: Sequence[View], corners: Array, *, threads: int
 ) -> tuple[RevolvedSurface, list[View]]:
     """The vessel on the board, and the photos with its outline filled as masks.
 
     Args:
         views: photos with poses, world z up with the table at z = 0.
         corners: (M, 3) corners of the board, world.
-        wall_m: thickness of the wall, if known; None takes it from the rim.
         threads: number of threads.
 
     Raises:
@@ -73,15 +72,13 @@ def find_vessel(
     """
     tables = model_tables(views, corners)
     off = in_threads(lambda i: deviation(views[i], tables, i), range(len(views)), threads=threads)
-    return fit_vessel(views, outline_evidence(off), corners, wall_m=wall_m)
+    return fit_vessel(views, outline_evidence(off), corners)
 
 
 def fit_vessel(
     views: Sequence[View],
     evidence: Sequence[Floats],
     corners: Array,
-    *,
-    wall_m: float | None = None,
 ) -> tuple[RevolvedSurface, list[View]]:
     """`find_vessel` from the difference of each photo from the bare table.
 
@@ -89,7 +86,6 @@ def fit_vessel(
         views: photos with poses.
         evidence: (H, W) of each photo, of `outline_evidence`.
         corners: (M, 3) corners of the board, world.
-        wall_m: as of `find_vessel`.
 
     Raises:
         ToolkitError: as `find_vessel`.
@@ -131,7 +127,7 @@ def fit_vessel(
             for v, m in zip(views, outlines, strict=True)
         ]
         found = fit_outline_points(
-            given, points, centre=centre, heights=heights, radii=radii, wall_m=wall_m,
+            given, points, centre=centre, heights=heights, radii=radii,
             most_outside=limits.most_outside,
         )  # fmt: skip
         T = found.T_world_axis

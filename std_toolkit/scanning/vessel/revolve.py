@@ -3,9 +3,8 @@
 A ray through the outline touches the surface. In the half-plane of height and radius, a ray is a
 hyperbola that touches the profile from outside, whatever the azimuth: the gap between both is one
 residual per ray, and axis and profile follow by least squares. Outlines alone do not tell a flat
-top from a lid below the line of sight; the lowest top that explains them is taken. The inner wall
-comes from the inner edge of the rim where photos show it. Handles and spouts are out of reach:
-their outline is left out and its share reported.
+top from a lid below the line of sight; the lowest top that explains them is taken. Handles and
+spouts are out of reach: their outline is left out and its share reported.
 """
 
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ import numpy as np
 
 from std_toolkit.arrays import Array, Mask
 from std_toolkit.errors import ToolkitError
+from std_toolkit.scanning.vessel.foot import with_foot
 from std_toolkit.scanning.vessel.outline_rays import (
     OutlineRays,
     TurnedProfile,
@@ -25,7 +25,6 @@ from std_toolkit.scanning.vessel.outline_rays import (
     ray_gaps,
 )
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
-from std_toolkit.scanning.vessel.rim_wall import wall_at_rim
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Steps between the heights of the profile, and their number.
@@ -52,9 +51,6 @@ _TILT_RAD = np.deg2rad(0.4)
 # Height of the cone above the rim, and its slope in parts of that of the rays.
 _CONE_M, _CONE = 0.003, 0.6
 
-# A wall that no photo shows is taken as this.
-_GUESSED_WALL_M = 0.0025
-
 
 @dataclass(frozen=True, kw_only=True)
 class RevolveSettings(Settings):
@@ -76,12 +72,11 @@ class RevolveSettings(Settings):
     """rays over the rim that show its height"""
 
 
-def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None) -> RevolvedSurface:
+def fit_revolution(views: Sequence[OutlineView]) -> RevolvedSurface:
     """Fit an axis and a profile to the outlines of an object in all views.
 
     Args:
         views: at least four, from about all sides and two heights.
-        wall_m: thickness of the wall, if known; None takes it from the rim.
 
     Raises:
         ToolkitError: too few views with an outline, or an outline that is not that of a surface of
@@ -90,7 +85,7 @@ def fit_revolution(views: Sequence[OutlineView], *, wall_m: float | None = None)
     points = [mask_outline(view.mask) for view in views]
     rays = outline_rays(views, points)
     state = _first_profile(rays, *_start(views, rays))
-    return _fitted(views, rays, state, wall_m, RevolveSettings.current().largest_outside)
+    return _fitted(rays, state, RevolveSettings.current().largest_outside)
 
 
 def fit_outline_points(
@@ -101,7 +96,6 @@ def fit_outline_points(
     heights: Array,
     radii: Array,
     most_outside: float,
-    wall_m: float | None = None,
 ) -> RevolvedSurface:
     """Fit an axis and a profile to points of the outline, near a profile that is known roughly.
 
@@ -110,7 +104,6 @@ def fit_outline_points(
         points: (N, 2) pixels of the outline in each photo.
         centre: (2,) where the axis meets the table, about.
         heights, radii: (K,) the rough profile, metres.
-        wall_m: thickness of the wall, if known; None takes it from the rim.
         most_outside: share of the points that may belong to something else.
 
     Raises:
@@ -121,16 +114,10 @@ def fit_outline_points(
     count = int(np.clip(top / _STEP_M, _LEAST_HEIGHTS, _MOST_HEIGHTS))
     line = np.interp(np.linspace(0, top, count), heights, radii)
     start = TurnedProfile(line, top, np.array([*centre, 0.0, 0.0]))
-    return _fitted(views, rays, start, wall_m, most_outside)
+    return _fitted(rays, start, most_outside)
 
 
-def _fitted(
-    views: Sequence[OutlineView],
-    rays: OutlineRays,
-    state: TurnedProfile,
-    wall_m: float | None,
-    most_outside: float,
-) -> RevolvedSurface:
+def _fitted(rays: OutlineRays, state: TurnedProfile, most_outside: float) -> RevolvedSurface:
     """Axis and profile by least squares from a start."""
     limits = RevolveSettings.current()
     sigma = outline_noise(rays, state)
@@ -139,6 +126,7 @@ def _fitted(
         state = _with_cone(_lowest_top(rays, state, sigma))
         state, sigma = _settled(rays, state, sigma)
         state, sigma = _settled(rays, _without_cone(rays, state), sigma)
+    state, hidden = with_foot(rays, state, limits.largest_px)
     gap = ray_gaps(rays, state)
     pixels = gap.distance * rays.px_per_m
     kept = np.abs(pixels) <= max(limits.outside * sigma, limits.largest_px)
@@ -152,22 +140,15 @@ def _fitted(
             "scan it without --revolve",
         )
     deviation, seen = _deviation(rays, state, sigma)
-    found = RevolvedSurface(
+    return RevolvedSurface(
         T_world_axis=state.T_world_axis,
         heights=state.heights,
         radii=state.radii,
         deviation_m=deviation,
-        seen=seen,
-        wall_m=wall_m or _GUESSED_WALL_M,
-        wall_seen=False,
+        seen=seen & ~hidden,
         outline_px=rms,
         outside=outside,
     )
-    if wall_m is None:
-        shown = wall_at_rim(views, found)
-        if shown is not None:
-            found = replace(found, wall_m=shown, wall_seen=True)
-    return replace(found, warnings=found.doubts(known_wall=wall_m is not None))
 
 
 def _start(views: Sequence[OutlineView], rays: OutlineRays) -> tuple[Array, float]:

@@ -1,6 +1,7 @@
 """A photo with an outline, and a solid of revolution as an axis and a profile with its mesh."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,13 @@ from std_toolkit.geometry import SE3, Camera
 Array = NDArray[np.float64]
 
 SECTIONS = 128
+
+# A wall that no photo shows is taken as this.
+_GUESSED_WALL_M = 0.0025
+
+# A stem is narrower than this part of both what is below and above it, and ends where the bowl is
+# this many times as wide as its narrowest place.
+_STEM, _STEM_ENDS = 0.4, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +37,32 @@ class OutlineView:
     image: NDArray[np.uint8] | None = None
 
 
+def stem_end(heights: Array, radii: Array) -> float:
+    """Height at which the stem of a profile widens to the bowl, metres; 0 without a stem."""
+    below = np.maximum.accumulate(radii)
+    above = np.maximum.accumulate(radii[::-1])[::-1]
+    stem = radii < _STEM * np.minimum(below, above)
+    if not stem.any():
+        return 0.0
+    narrowest = float(radii[stem].min())
+    return float(heights[stem & (radii < _STEM_ENDS * narrowest)].max())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inside:
+    """What is known of the inside of a vessel.
+
+    Attributes:
+        wall_m: thickness of the wall.
+        wall: where it is from.
+        floor_m: height of the floor above the table, as the user stated it; None for a guess.
+    """
+
+    wall_m: float = _GUESSED_WALL_M
+    wall: Literal["stated by the user", "seen at the rim", "guessed"] = "guessed"
+    floor_m: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class RevolvedSurface:
     """An axis and a profile with deviations.
@@ -39,11 +73,9 @@ class RevolvedSurface:
         radii: (K,) of the outer wall, metres.
         deviation_m: (K,) standard deviation of the radii.
         seen: (K,) whether an outline touches the surface there; elsewhere it is interpolated.
-        wall_m: thickness of the wall at the rim.
-        wall_seen: whether photos show the rim's inner edge; otherwise the wall is a guess.
         outline_px: root mean square distance of the outline, without what is left out.
         outside: share of the outline that is left out.
-        warnings: sentences on what is a guess or out of reach.
+        inside: wall and floor.
     """
 
     T_world_axis: SE3
@@ -51,11 +83,35 @@ class RevolvedSurface:
     radii: Array
     deviation_m: Array
     seen: NDArray[np.bool_]
-    wall_m: float
-    wall_seen: bool
     outline_px: float
     outside: float
-    warnings: tuple[str, ...] = ()
+    inside: Inside = Inside()
+
+    @property
+    def height(self) -> float:
+        """Of the rim above the table, metres."""
+        return float(self.heights[-1])
+
+    @property
+    def floor_m(self) -> float:
+        """Height of the floor of the inside above the table, stated or guessed; metres."""
+        if self.inside.floor_m is not None:
+            return self.inside.floor_m
+        wall, inner = self.inside.wall_m, self.inner_radii()
+        # The hollow ends where it is too narrow, and above a stem.
+        closed = np.flatnonzero((inner < wall) & (self.heights < 0.95 * self.height))
+        low = float(self.heights[closed[-1]]) if len(closed) else 0.0
+        return min(max(low, self.stem_end_m) + max(2 * wall, 0.003), self.height)
+
+    @property
+    def stem_end_m(self) -> float:
+        """Height at which a stem widens to the bowl, metres; 0 without a stem."""
+        return stem_end(self.heights, self.radii)
+
+    def inner_radii(self) -> Array:
+        """(K,) radii of the outer wall moved inwards by the thickness of the wall, metres."""
+        slope = np.gradient(self.radii, self.heights)
+        return np.asarray(self.radii - self.inside.wall_m * np.sqrt(1 + np.minimum(slope**2, 4.0)))
 
     def mesh(self) -> tuple[Array, NDArray[np.int64]]:
         """Watertight triangles, hollow and open at the top: vertices (V, 3) in the world, metres;
@@ -66,22 +122,28 @@ class RevolvedSurface:
         return self.T_world_axis @ vertices, faces
 
     def _inner(self) -> Array:
-        """(N, 2) inner wall, rim first, ending on the axis above the base."""
-        wall, top = self.wall_m, float(self.heights[-1])
-        slope = np.gradient(self.radii, self.heights)
-        across = wall * np.sqrt(1 + np.minimum(slope**2, 4.0))
-        inner = self.radii - across
-        base = max(2 * wall, 0.003)
-        # The cavity ends where it is too narrow, such as above the stem of a glass.
-        closed = np.flatnonzero((inner < wall) & (self.heights < 0.95 * top))
-        low = float(self.heights[closed[-1]]) if len(closed) else 0.0
-        kept = (self.heights > low + base) & (inner > 0)
+        """(N, 2) inner wall, rim first, ending on the axis at the floor."""
+        floor, inner = self.floor_m, self.inner_radii()
+        at_floor = float(np.interp(floor, self.heights, inner))
+        kept = (self.heights > floor) & (inner > 0)
+        if not kept.any() or at_floor <= 0:
+            return np.array([[0.0, self.height]])
         points = np.stack([inner, self.heights], axis=1)[kept][::-1]
-        if not len(points):
-            return np.array([[0.0, top]])
-        return np.vstack([points, [[0.0, points[-1, 1]]]])
+        return np.vstack([points, [[at_floor, floor], [0.0, floor]]])
 
-    def doubts(self, *, known_wall: bool) -> tuple[str, ...]:
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is known of the inside, and from where."""
+        stated = "guessed" if self.inside.floor_m is None else "stated by the user"
+        floor = self.floor_m
+        return {
+            "wall": f"{1000 * self.inside.wall_m:.1f} mm, {self.inside.wall}",
+            "base": f"{1000 * floor:.1f} mm, {stated}",
+            "inside depth": f"{1000 * (self.height - floor):.1f} mm, {stated}",
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
         """Sentences on what is a guess or out of reach."""
         sentences = []
         if self.outside > 0.02:
@@ -89,12 +151,17 @@ class RevolvedSurface:
                 f"{100 * self.outside:.0f} % of the outline is not of the surface of revolution: "
                 "handles and spouts are not modelled"
             )
-        if not (self.wall_seen or known_wall):
+        if self.inside.wall == "guessed":
             sentences.append(
-                f"no photo shows the inner edge of the rim: a wall of {1000 * self.wall_m:.1f} mm "
-                "is a guess; photograph the rim from above, or measure the wall"
+                "no photo shows the inner edge of the rim: a wall of "
+                f"{1000 * self.inside.wall_m:.1f} mm is a guess; photograph the rim from above, or "
+                "measure the wall and give --wall-mm"
             )
-        sentences.append("the thickness of the base is a guess")
+        if self.inside.floor_m is None:
+            sentences.append(
+                f"the thickness of the base is a guess, {1000 * self.floor_m:.0f} mm: measure it, "
+                "or the depth of the inside from the rim, and give --base-mm or --inside-depth-mm"
+            )
         if not self.seen.all():
             hidden = 1000 * float((~self.seen).mean() * self.heights[-1])
             sentences.append(f"no outline touches {hidden:.0f} mm of the profile: interpolated")

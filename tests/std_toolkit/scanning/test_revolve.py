@@ -7,11 +7,13 @@ import pytest
 import trimesh
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry import Camera
 from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.scanning.vessel.inside import StatedInside, with_inside
 from std_toolkit.scanning.vessel.outline_rays import mask_outline
 from std_toolkit.scanning.vessel.revolve import fit_outline_points, fit_revolution
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
+from tests.std_toolkit.scanning.vessels import outlines
 
 CAMERA = Camera(fx=420.0, fy=420.0, cx=159.5, cy=119.5, width=320, height=240)
 # Radius and height in metres, outside then inside: a tumbler with a waist.
@@ -25,32 +27,13 @@ def tumbler() -> trimesh.Trimesh:
 
 
 def views_of(mesh: trimesh.Trimesh, count: int = 6) -> list[OutlineView]:
-    caster = RayCaster(mesh.vertices, mesh.faces)
-    row, column = np.mgrid[: CAMERA.height, : CAMERA.width]
-    rays = CAMERA.unproject(np.stack([column, row], axis=-1))
-    views = []
-    for k in range(count):
-        azimuth, elevation = 2 * np.pi * k / count, np.deg2rad((20, 50)[k % 2])
-        away = np.array(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ]
-        )
-        target = CENTRE + np.array([0.004, 0.003, 0.045])
-        right = np.cross(-away, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = SE3(np.stack([right, np.cross(-away, right), -away], axis=1), target + 0.28 * away)
-        d = rays @ pose.R.T
-        hits = caster.cast(np.concatenate([np.broadcast_to(pose.t, d.shape), d], axis=-1))
-        views.append(OutlineView(CAMERA, pose, np.isfinite(hits.distance)))
-    return views
+    return outlines(mesh, CAMERA, CENTRE + np.array([0.004, 0.003, 0.045]), 0.28, count)
 
 
 @pytest.fixture(scope="module")
 def fitted() -> RevolvedSurface:
-    return fit_revolution(views_of(tumbler()), wall_m=0.002)
+    views = views_of(tumbler())
+    return with_inside(fit_revolution(views), views, StatedInside(wall_mm=2))
 
 
 @pytest.mark.slow

@@ -205,7 +205,7 @@ def test_a_ball_is_a_surface_of_revolution() -> None:
         views=views, corners=np.zeros((0, 3)), points=np.zeros((0, 3)), on_table=True, facts={},
         warnings=[], digest="", photos=scan_step.photo_files.Photos((), (), (160, 120), 1.0),
     )  # fmt: skip
-    found = scan_step._vessel_of_masks(views)
+    found = scan_step.fit_revolution(scan_step._outline_views(views))
     vertices, faces, support = scan_step._revolved(found, posed)
     assert not support.any()
     assert len(support) == len(faces)
