@@ -23,8 +23,6 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # From this number of images the conjugate gradient method is faster than a factorisation.
 _DIRECT_IMAGES = 150
-# With this number of images COLMAP's adjustments of the whole model take most of the time.
-_MANY_IMAGES = 150
 # Pairs that are matched at a time; COLMAP's default is 1225. Neighbours share their images.
 _BLOCK_PAIRS = 100
 
@@ -42,6 +40,9 @@ class MappingSettings(Settings):
     short_sweep_share: float = limit(0.3, source=NOT_RECORDED)
     """wide-angle limit on a short sweep, as a fraction of the angle that a quarter of the
     points reach"""
+
+    many_images: int = limit(150, source="275 keyframes: mapping took 901 s, then 135 s")
+    """from this number of images on, the growing model is adjusted less often"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -331,7 +332,7 @@ def _map(database: Path, work: Path, options: PoseOptions, threads: int) -> dict
     pipeline.min_model_size = 3
     pipeline.extract_colors = False
     with pycolmap.Database.open(database) as opened:
-        if opened.num_images() >= _MANY_IMAGES:
+        if opened.num_images() >= MappingSettings.current().many_images:
             _adjust_less(pipeline)
     return dict(pycolmap.incremental_mapping(database, work, output, pipeline))
 

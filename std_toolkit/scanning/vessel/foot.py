@@ -11,7 +11,7 @@ import numpy as np
 
 from std_toolkit.arrays import Mask
 from std_toolkit.scanning.vessel.outline_rays import OutlineRays, TurnedProfile, ray_gaps
-from std_toolkit.scanning.vessel.revolved_surface import stem_end
+from std_toolkit.scanning.vessel.revolved_surface import StemSettings, stem_end
 
 # Thicknesses of the edge that are tried.
 _EDGES_M = np.arange(0.0005, 0.0041, 0.0005)
@@ -19,9 +19,6 @@ _EDGES_M = np.arange(0.0005, 0.0041, 0.0005)
 # Heights, in parts of the foot's radius, over which what it has more than the stem falls to 1/e. Of
 # the first, a foot is an eighth of its radius high half way to its edge, as those of wine glasses.
 _FLARES = (0.11, 0.2, 0.4)
-
-# A thinner foot may leave the outlines this much further away in the mean, pixels.
-_WORSE_PX = 0.03
 
 # Percentile of the lines of sight past stem and foot that counts as the flattest.
 _FLATTEST = 10
@@ -74,6 +71,6 @@ def with_foot(
         found = [footed(thick, flare) for thick in thin]
         apart = [misfit(tried) for tried in found]
         best = int(np.argmin(apart))
-        if apart[best] <= least + _WORSE_PX:
+        if apart[best] <= least + StemSettings.current().worse_px:
             return found[best], (heights > thin[best]) & (heights < joint)
     return state, hidden

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.geometry import SE3, Camera
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
@@ -15,9 +16,17 @@ SECTIONS = 128
 # A wall that no photo shows is taken as this.
 _GUESSED_WALL_M = 0.0025
 
-# A stem is narrower than this part of both what is below and above it, and ends where the bowl is
-# this many times as wide as its narrowest place.
-_STEM, _STEM_ENDS = 0.4, 2.0
+
+@dataclass(frozen=True, kw_only=True)
+class StemSettings(Settings):
+    """What is a stem, and which foot is below it."""
+
+    stem: float = limit(0.4, source="wine glasses: a stem is 0.1 to 0.2 of foot and bowl")
+    """a stem is narrower than this part of both what is below and above it"""
+    ends: float = limit(2.0, source=NOT_RECORDED)
+    """it ends where the bowl is this many times as wide as its narrowest place"""
+    worse_px: float = limit(0.03, unit="px", source="one rendered wine glass")
+    """a thinner foot may leave the outlines this much further away in the mean"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +48,14 @@ class OutlineView:
 
 def stem_end(heights: Array, radii: Array) -> float:
     """Height at which the stem of a profile widens to the bowl, metres; 0 without a stem."""
+    limits = StemSettings.current()
     below = np.maximum.accumulate(radii)
     above = np.maximum.accumulate(radii[::-1])[::-1]
-    stem = radii < _STEM * np.minimum(below, above)
+    stem = radii < limits.stem * np.minimum(below, above)
     if not stem.any():
         return 0.0
     narrowest = float(radii[stem].min())
-    return float(heights[stem & (radii < _STEM_ENDS * narrowest)].max())
+    return float(heights[stem & (radii < limits.ends * narrowest)].max())
 
 
 @dataclass(frozen=True, kw_only=True)

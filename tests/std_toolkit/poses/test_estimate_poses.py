@@ -27,6 +27,7 @@ from std_toolkit.poses.pose_gates import (
 from std_toolkit.poses.pose_step import estimate_poses
 from std_toolkit.scene import Frame, FramePose, Label, Labels, Model, Object, ObjectTable, Scene
 from std_toolkit.scene.scene import require_metres
+from std_toolkit.settings import override
 
 SERIAL = PoseOptions(threads=1)
 
@@ -99,11 +100,11 @@ def test_covariance_predicts_the_error(solved: Scene, recording) -> None:
 def test_many_keyframes_are_mapped_as_well(copy: Scene, recording, monkeypatch) -> None:
     """They are adjusted less often while the model grows."""
     asked = []
-    monkeypatch.setattr(mapping, "_MANY_IMAGES", 2)
     less = mapping._adjust_less
     monkeypatch.setattr(mapping, "_adjust_less", lambda p: (less(p), asked.append(p)))
     shutil.rmtree(copy.root / ".std")
-    poses = estimate_poses(copy, SERIAL)
+    with override(mapping.MappingSettings(many_images=2)):
+        poses = estimate_poses(copy, SERIAL)
     assert asked[0].ba_global_frames_ratio == 1.5
     assert failed_gates(poses) == []
     assert len(copy.registered_frames()) == len(recording.colors)
