@@ -5,14 +5,15 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import msgspec
 import torch
 from torch import nn
 
 from benchmark.training.options import BatchNormStatistics, Precision
 from benchmark.training.step import StepInfo
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import CheckedOptions, ToolkitError
 from std_toolkit.jobs import artefact
 
 # A warm-up that was published for 60,000 steps must not fill a short training.
@@ -25,11 +26,12 @@ _NAME = re.compile(r"[\w.-]+|[^\0\n]+:[A-Za-z_]\w*")
 
 
 # Larger numbers are damage: no published training comes near them.
-_MOST = {"learning_rate": 10.0, "batch_size": 1_000_000, "epochs": 1_000_000}
+_Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+_Rate = Annotated[float, msgspec.Meta(gt=0, le=10)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optimization:
+class Optimization(CheckedOptions):
     """Optimizer and schedule.
 
     Attributes:
@@ -53,12 +55,12 @@ class Optimization:
     """
 
     optimizer: Literal["adam", "adamw", "sgd"] = "adamw"
-    learning_rate: float = 1e-4
+    learning_rate: _Rate = 1e-4
     betas: tuple[float, float] = (0.9, 0.999)
     momentum: float = 0.9
     weight_decay: float = 0.01
-    batch_size: int = 32
-    epochs: int = 20
+    batch_size: _Count = 32
+    epochs: _Count = 20
     decay: Literal["linear", "steps"] = "linear"
     milestones: tuple[float, ...] = ()
     factor: float = 1.0
@@ -67,12 +69,6 @@ class Optimization:
     phase_epochs: Mapping[str, int] = field(default_factory=dict)
     phase_rates: Mapping[str, float] = field(default_factory=dict)
     encoder_rate: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name, most in _MOST.items():
-            value = getattr(self, name)
-            if not 0 < value <= most:
-                raise ValueError(f"{name} must be above 0 and at most {most:g} (got {value:g})")
 
     def make(self, network: nn.Module) -> torch.optim.Optimizer:
         """The optimizer of the network's parameters."""

@@ -41,7 +41,7 @@ class MappingSettings(Settings):
     """wide-angle limit on a short sweep, as a fraction of the angle that a quarter of the
     points reach"""
 
-    many_images: int = limit(150, source="275 keyframes: mapping took 901 s, then 135 s")
+    many_images: int = limit(150, source="275 keyframes: mapping took 901 s, then 151 s")
     """from this number of images on, the growing model is adjusted less often"""
 
 
@@ -341,7 +341,7 @@ def _adjust_less(pipeline: Any) -> None:
     """Adjust the growing model less often and less closely; `adjust` does it well at the end.
 
     By default COLMAP adjusts it whenever it has grown by a tenth, up to five times, until nothing
-    changes: for 275 images that takes seven times as long, and for more the share still grows.
+    changes: for 275 images that takes six times as long.
     """
     pipeline.ba_global_frames_ratio = pipeline.ba_global_points_ratio = 1.5
     pipeline.ba_global_max_refinements = 2

@@ -65,9 +65,7 @@ def with_foot(
 
     thin = [float(t) for t in _EDGES_M if t < 0.8 * joint]
     least = misfit(state)
-    for flare in _FLARES:
-        if not thin:
-            break
+    for flare in _FLARES if thin else ():
         found = [footed(thick, flare) for thick in thin]
         apart = [misfit(tried) for tried in found]
         best = int(np.argmin(apart))

@@ -60,9 +60,7 @@ def with_inside(
     elif (shown := wall_at_rim(views, found)) is not None:
         inside = Inside(wall_m=shown, wall="seen at the rim")
     floor = _stated_floor(found.height, stated)
-    if floor is not None:
-        inside = replace(inside, floor_m=floor)
-    found = replace(found, inside=inside)
+    found = replace(found, inside=replace(inside, floor_m=floor))
     if floor is not None:
         _check_open(found, floor, stated)
     return found
@@ -83,9 +81,9 @@ def _stated_floor(height: float, stated: StatedInside) -> float | None:
             f"is not in the vessel, which is {tall:.1f} mm high", field="--inside-depth-mm",
             value=depth, hint="measure from the rim down to the floor of the inside again",
         )  # fmt: skip
-    if base is None or depth is None:
-        return base / 1000 if base is not None else None if depth is None else height - depth / 1000
-    if abs(base + depth - tall) > 1000 * limits.apart_m:
+    if base is None:
+        return None if depth is None else height - depth / 1000
+    if depth is not None and abs(base + depth - tall) > 1000 * limits.apart_m:
         raise ToolkitError(
             f"with --base-mm {base:g} makes {base + depth:.1f} mm, but the vessel is {tall:.1f} mm "
             "high", field="--inside-depth-mm", value=depth,

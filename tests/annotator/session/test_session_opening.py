@@ -280,10 +280,10 @@ def test_a_scene_of_900_frames_opens_well_within_a_second(tmp_path: Path) -> Non
     (root / "labels.json").write_bytes(_json(Labels(labels=[label])))
     best = float("inf")
     for _ in range(3):
-        start = time.process_time()
+        start = time.perf_counter()
         with Session.open(root) as session:
             assert len(session.frames) == 900
-        best = min(best, time.process_time() - start)
+        best = min(best, time.perf_counter() - start)
     assert best < 1.0
 
 

@@ -8,8 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import trimesh
-from scipy.interpolate import PchipInterpolator
 
 pytest.importorskip("manifold3d")
 
@@ -19,6 +17,7 @@ from std_toolkit.poses.board_sheet import DICTIONARY, make_board_sheet
 from std_toolkit.scanning.board.tags_through import FoundTag, check_tags, displaced_tags
 from std_toolkit.scanning.photos.views import View
 from tests.std_toolkit.scanning.ball import look_at
+from tests.std_toolkit.scanning.vessels import WHISKY, WHISKY_INSIDE, turned
 
 CAMERA = Camera(480, 360, 430, 430, 239.5, 179.5)
 SHEET = make_board_sheet("a4")
@@ -130,29 +129,13 @@ def test_few_displaced_tags_are_told_from_many_that_lie_elsewhere() -> None:
     assert displaced_tags(rest) == [[], [], [4], [], [], []]
 
 
-def whisky() -> trimesh.Trimesh:
-    """A tumbler of 92 mm with a base of 22 mm, z up, metres."""
-    outer = [(0, 1), (30, 0), (33, 2), (36, 10), (39, 50), (41, 92)]
-    inner = [(38.2, 92), (36, 50), (33, 26), (28, 22), (0, 22)]
-    parts = []
-    for points in (outer, inner):
-        p = np.array(points, float) / 1000
-        length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]
-        parts.append(PchipInterpolator(length, p)(np.linspace(0, length[-1], 160)))
-    line = np.vstack(parts)
-    line[[0, -1], 0] = 0
-    mesh = trimesh.creation.revolve(line, sections=180)
-    mesh.merge_vertices()
-    return mesh
-
-
 @pytest.mark.long
 def test_a_rendered_tumbler_is_refused_before_masks_and_depth(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     from sensors.simulation.cli import main as simulate
     from std_toolkit.cli.scanning import main
 
-    whisky().export(tmp_path / "whisky.ply")
+    turned(WHISKY, WHISKY_INSIDE).export(tmp_path / "whisky.ply")
     words = f"turntable --mesh {tmp_path}/whisky.ply --material glass --views 10 --samples 4"
     sizes = f"--width 640 --height 480 --seed 21 --out {tmp_path}/table"
     assert simulate([*words.split(), *sizes.split()]) in (0, None)

@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.vessel.revolved_surface import OutlineView, RevolvedSurface
+from tests.std_toolkit.scanning.ball import look_at
 
 Line = list[tuple[float, float]]
 
@@ -72,10 +73,7 @@ def outlines(
                 np.sin(elevation),
             ]
         )
-        right = np.cross(-away, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        turn = np.stack([right, np.cross(-away, right), -away], axis=1)
-        pose = SE3(turn, target + distance * away)
+        pose = look_at(target + distance * away, target)
         d = rays @ pose.R.T
         hits = caster.cast(np.concatenate([np.broadcast_to(pose.t, d.shape), d], axis=-1))
         views.append(OutlineView(camera, pose, np.isfinite(hits.distance)))
