@@ -181,6 +181,7 @@ def _evidence(item: ObjectCheck) -> list[Evidence]:
     sources: dict[str, tuple[Source, str]] = {
         "motion_mm": ("contour", item.text("support")),
         "texture_mm": ("texture", ""),
+        "surface_mm": ("depth", _residual(item)),
         "standing_mm": ("support", item.text("standing_mm")),
     }
     for key, (source, text) in sources.items():
@@ -201,7 +202,11 @@ def _evidence(item: ObjectCheck) -> list[Evidence]:
         text = f"{texture.text}: {turn}" if turn else texture.text
         found.append(Evidence(source="texture", frames=texture.frames, text=text))
     depth = item.entry("depth_mm")
-    if depth is not None and depth.value is not None:
-        text = f"the label is {depth.value:+.1f} mm behind the measured surface"
-        found.append(Evidence(source="depth", frames=depth.frames, text=text))
+    if depth is not None and depth.value is not None and item.entry("surface_mm") is None:
+        found.append(Evidence(source="depth", frames=depth.frames, text=_residual(item)))
     return found
+
+
+def _residual(item: ObjectCheck) -> str:
+    depth = item.value("depth_mm")
+    return "" if depth is None else f"the label is {depth:+.1f} mm behind the measured surface"

@@ -189,6 +189,7 @@ class ObjectCheck(Document, frozen=True, kw_only=True):
             "aside" (edges nearby fit another pose better), "faint" or "absent".
             texture_mm: translation and rotation from the label to where the texture agrees with the
             images.
+            surface_mm: the same to where the sensor depth on the object puts it.
             aligned_mm: translation and rotation from the label to where the edges and the depth of
             a lone frame put the object; the text is how.
             standing_mm: height of the label above the plane on which other objects stand; `motion`

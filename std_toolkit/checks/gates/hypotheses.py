@@ -1,12 +1,13 @@
 """What explains the evidence on a label: its pose is off, mesh and object differ, or nothing.
 
-Texture, contour and support each say where an object is, relative to its label, in six degrees of
-freedom with a covariance. Where they agree, the label is judged by all together. Where they do not,
-explanations are compared by their likelihood:
+Texture, contour, sensor depth and support each say where an object is, relative to its label, in
+six degrees of freedom with a covariance. Where they agree, the label is judged by all together.
+Where they do not, explanations are compared by their likelihood:
 
 - "": all see the same pose, and differ by their errors only;
 - "shape": the mesh has another shape than the object, whose texture tells where it is;
 - "texture": the object has its texture elsewhere, as another print run; its contour tells the pose;
+- "depth": the sensor errs on this surface, or its image lies beside the colour image;
 - "leans": the object does not stand on the plane of the others, so that its support says nothing;
 - "misled": reflections or refraction look like an outline elsewhere in all frames. A label that is
   likely right in spite of this is unknown rather than doubtful.
@@ -31,12 +32,12 @@ from std_toolkit.checks.gates.located import (
     TURN,
     Located,
     Scatter,
-    disagree,
     joined,
     located_by,
     log_density,
     shares_within,
 )
+from std_toolkit.checks.gates.reasons import differing, reason_of
 from std_toolkit.checks.result import ObjectCheck, Verdict
 from std_toolkit.options import CheckOptions
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
@@ -80,6 +81,12 @@ class JudgeSettings(Settings):
         0.5, source="the same scenes: right labels that seem to be off by 2 to 4 deg"
     )
     """a doubtful label whose contour may be misled is unknown from this probability"""
+    depth_prior: float = limit(0.1, source="dark and glossy surfaces, and depth not aligned")
+    """share of the objects on which sensor depth errs"""
+    depth_mm: float = limit(5.0, unit="mm", source="residuals on such surfaces of real recordings")
+    """deviation of the motion by such depth, besides its own"""
+    depth_deg: float = limit(4.0, unit="deg", source=NOT_RECORDED)
+    """the same for its rotation"""
     leans_prior: float = limit(0.1, source="things that lean on others, or stand on a rim")
     """share of the objects that do not stand on the plane of the others"""
     leans_mm: float = limit(12.0, unit="mm", source="half of `standing_check.reach_m`")
@@ -134,7 +141,8 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     """The verdict on the pose of one object; None where nothing says where it is."""
     limits = JudgeSettings.current()
     sources = _sources(item)
-    if not any(s.name != "support" for s in sources):
+    # A label that is not seen may lie on any surface, as a table's.
+    if not any(s.name not in ("support", "depth") for s in sources):
         return None
     scatter = Scatter.of(sources[0].at)
     found = _explanations(sources, scatter)
@@ -147,19 +155,19 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     odds = best.weight / max(1 - best.weight, 1e-9)
     verdict, cause = _verdict(total, best.at, scatter, options)
     misled = any(s.explanation == "misled" for s in sources)
-    differing = _differing(sources, best.name)
+    apart_by = differing([(s.name, s.at) for s in sources], best.name)
     # Where a contour that may be misled contradicts the support, neither is believed alone; and
     # sources that contradict each other for no known reason accuse no label that is likely right.
     likely = verdict == "doubtful" and total >= limits.misled
-    if misled and (likely or (verdict == "fits" and differing)):
+    if misled and (likely or (verdict == "fits" and apart_by)):
         verdict, cause = "unknown", "misled"
-    elif likely and differing and not best.name:
+    elif likely and apart_by and not best.name:
         verdict, cause = "unknown", "contradicted"
     told = best.name in ("shape", "texture") and odds >= limits.noted_odds
     if verdict == "fits" and told and _is_noted(apart):
         cause = best.name
     said_by = [s.name for s in sources if not s.explanation or s.explanation != best.name]
-    reason = _reason(verdict, cause, best.at, apart, said_by) + differing
+    reason = reason_of(verdict, cause, best.at, apart, said_by) + apart_by
     return Weighed(verdict, total, mm, deg, cause, reason, best.at, apart)
 
 
@@ -168,11 +176,13 @@ class _Source:
     """Where one source puts the object, and what would explain that it is wrong.
 
     Attributes:
-        name: "texture", "contour", "alignment" or "support".
+        name: "texture", "contour", "alignment", "depth" or "support".
         at: where.
         explanation: "shape", "misled", "texture" or "leans"; "" for none.
         prior: share of the objects for which it holds.
         beside: (6, 6) covariance that it adds.
+        of_shape: (6, 6) covariance that another shape of the mesh adds, if that explains another
+            source.
     """
 
     name: str
@@ -180,12 +190,22 @@ class _Source:
     explanation: str = ""
     prior: float = 0.0
     beside: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    of_shape: Array = field(default_factory=lambda: np.zeros((6, 6)))
+
+    def if_holds(self, name: str) -> Located:
+        """Where it puts the object if an explanation holds."""
+        if name and name == self.explanation:
+            return Located(self.at.motion, self.at.covariance + self.beside)
+        if name == "shape":
+            return Located(self.at.motion, self.at.covariance + self.of_shape)
+        return self.at
 
 
 def _sources(item: ObjectCheck) -> list[_Source]:
     limits = JudgeSettings.current()
     contour = located_by(item.entry("motion_mm"))
     texture = located_by(item.entry("texture_mm"))
+    surface = located_by(item.entry("surface_mm"))
     standing = located_by(item.entry("standing_mm"))
     if contour is not None and item.text("confirmed") == "no":
         contour = None
@@ -218,6 +238,15 @@ def _sources(item: ObjectCheck) -> list[_Source]:
     if aligned is not None:
         at = Located(aligned.motion, aligned.covariance + scatter(limits.mesh_part * size, 0.1))
         found.append(_Source("alignment", at))
+    if surface is not None and aligned is None:
+        by_mesh = scatter(limits.mesh_part * size, 0.1)
+        at = Located(
+            scatter.kept @ surface.motion,
+            scatter.kept @ (surface.covariance + by_mesh) @ scatter.kept,
+        )
+        beside = scatter(limits.depth_mm, limits.depth_deg)
+        shape = scatter(limits.shape_part * size, limits.shape_deg)
+        found.append(_Source("depth", at, "depth", limits.depth_prior, beside, shape))
     # Labels of one frame share the errors of its depth: that they agree on a plane says little.
     if standing is not None and aligned is None:
         at = Located(
@@ -233,7 +262,7 @@ class _Explanation:
     """Where an object is if an explanation holds, and how likely that is.
 
     Attributes:
-        name: "", "shape", "texture", "misled" or "leans".
+        name: "", "shape", "texture", "misled", "depth" or "leans".
         weight: of the explanation and the kind of label.
         at: where the evidence puts it.
         posterior: the same with what is known of labels of this kind.
@@ -263,7 +292,7 @@ def _explanations(sources: Sequence[_Source], scatter: Scatter) -> list[_Explana
         for s in sources:
             holds = bool(name) and s.explanation == name
             likely += float(np.log(s.prior if holds else 1 - s.prior))
-            one = Located(s.at.motion, s.at.covariance + s.beside) if holds else s.at
+            one = s.if_holds(name)
             if at is None:
                 at = one
             else:
@@ -335,66 +364,3 @@ def _is_noted(apart: Array | None) -> bool:
     limits = JudgeSettings.current()
     far, turned = (float(np.linalg.norm(apart[part])) for part in (SHIFT, TURN))
     return far >= limits.noted_mm or turned >= limits.noted_deg
-
-
-_EXPLAINED = {
-    "": "nothing explains it",
-    "shape": "the mesh has another shape",
-    "texture": "the texture sits elsewhere on the object",
-    "misled": "reflections mislead its contour",
-    "leans": "it does not stand on the plane of the others",
-}
-
-
-def _differing(sources: Sequence[_Source], name: str) -> str:
-    """The first two sources that disagree, and what explains it best."""
-    for k, a in enumerate(sources):
-        for b in sources[k + 1 :]:
-            if disagree(a.at, b.at):
-                far = a.at.motion - b.at.motion
-                mm, deg = (float(np.linalg.norm(far[part])) for part in (SHIFT, TURN))
-                return (
-                    f"; {a.name} and {b.name} disagree by {mm:.1f} mm and {deg:.1f} deg: "
-                    f"{_EXPLAINED[name]}"
-                )
-    return ""
-
-
-def _reason(
-    verdict: Verdict, cause: str, at: Located, apart: Array | None, said_by: Sequence[str]
-) -> str:
-    (mm, mm_std), (deg, deg_std) = at.mm, at.deg
-    several = len(said_by) > 1
-    who = " and ".join([", ".join(said_by[:-1]), said_by[-1]]) if several else f"its {said_by[0]}"
-    beside = ""
-    if apart is not None:
-        far, turn = float(np.linalg.norm(apart[SHIFT])), float(np.linalg.norm(apart[TURN]))
-        beside = f"{far:.1f} mm and {turn:.1f} deg"
-    if cause == "shape":
-        return (
-            "the mesh has another shape than the object: its texture fits the label, its contour "
-            f"lies {beside} beside"
-        )
-    if cause == "texture":
-        return (
-            "the object has its texture elsewhere than the mesh (another print run?): its contour "
-            f"fits the label, its texture lies {beside} beside"
-        )
-    if cause == "misled":
-        return (
-            f"its contour puts it {mm:.1f} mm (± {at.along(SHIFT):.1f}) and {deg:.1f} deg "
-            f"(± {at.along(TURN):.1f}) from its label, and reflections may mislead it"
-        )
-    if cause == "blind":
-        return (
-            f"its images determine it only to ± {mm_std:.1f} mm and ± {deg_std:.1f} deg along the "
-            "weakest direction"
-        )
-    if verdict == "fits":
-        word = "confirm" if several else "confirms"
-        return f"{who} {word} it to ± {mm_std:.1f} mm and ± {deg_std:.1f} deg"
-    word = "put" if several else "puts"
-    return (
-        f"{who} {word} it {mm:.1f} mm (± {at.along(SHIFT):.1f}) and {deg:.1f} deg "
-        f"(± {at.along(TURN):.1f}) from its label"
-    )

@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
-from std_toolkit.checks.measure.motion_solver import symmetry_motions
+from std_toolkit.checks.measure.motion_solver import symmetry_motions, without_free
 from std_toolkit.checks.result import ObjectCheck, Value
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -79,7 +78,7 @@ def _value(scene: Scene, object_id: int, label: SE3, refined: RefinedPose) -> Va
     R = np.kron(np.eye(2), refined.pose.R)
     covariance = R @ covariance_at(refined.covariance, middle) @ R.T
     centre = object_centre(scene, object_id)
-    kept = _kept(symmetry_motions(symmetry, label, centre))
+    kept = without_free(symmetry_motions(symmetry, label, centre))
     motion = (kept @ motion) * _UNITS
     covariance = (kept @ covariance @ kept.T) * np.outer(_UNITS, _UNITS)
     return Value(
@@ -93,10 +92,3 @@ def _value(scene: Scene, object_id: int, label: SE3, refined: RefinedPose) -> Va
         motion=[round(float(x), 3) for x in motion],
         covariance=[float(f"{x:.6g}") for x in covariance.ravel()],
     )
-
-
-def _kept(free: Array) -> Array:
-    """(6, 6) projection that takes away what a symmetry leaves open."""
-    if not len(free):
-        return np.eye(6)
-    return np.asarray(np.eye(6) - free.T @ np.linalg.pinv(free @ free.T) @ free)

@@ -161,7 +161,7 @@ def solve_motion(
         covariance = covariance + inverse[:, :6] @ sum(moved) @ inverse[:6]
     # px per metre and per radian.
     alike = np.diag(np.repeat([shared.systematic**2 / max(s, 1e-9) for s in squares], 3))
-    kept = _without(free)
+    kept = without_free(free)
     covariance[:6, :6] += kept @ alike @ kept.T
     stretch = stretch_covariance = None
     if stretched is not None:
@@ -371,7 +371,7 @@ def _by_frame(
     return found
 
 
-def _without(free: Array | None) -> Array:
+def without_free(free: Array | None) -> Array:
     """(6, 6) projection that takes away what a symmetry leaves open."""
     if free is None or not len(free):
         return np.eye(6)

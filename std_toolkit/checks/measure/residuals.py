@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.contours import NOTHING, Contour, LabelCaster, trace_contour
+from std_toolkit.checks.measure.depth_motion import DepthEquations, depth_equations
 from std_toolkit.checks.measure.edges import (
     EdgeDistance,
     Shift,
@@ -51,6 +52,7 @@ class ObjectObservation:
         jacobian: (2, 3) px per metre in the world of the object's centre.
         metres_per_px: size of a pixel at the object.
         motion: equations of the residual motion in six degrees of freedom.
+        surface: the same by sensor depth; None without.
         T_world_obj: the label that was measured.
     """
 
@@ -64,6 +66,7 @@ class ObjectObservation:
     metres_per_px: float | None = None
     depth_shift: DepthShift | None = None
     motion: MotionEquations | FiledEquations | None = None
+    surface: DepthEquations | None = None
     T_world_obj: SE3 | None = None
 
 
@@ -94,7 +97,11 @@ class FrameObservation:
             ToolkitError: the disk is full.
         """
         objects = {
-            i: replace(o, motion=None if o.motion is None else o.motion.load().filed(file))
+            i: replace(
+                o,
+                motion=o.motion and o.motion.load().filed(file),
+                surface=o.surface and o.surface.filed(file),
+            )
             for i, o in self.objects.items()
         }
         tallies: dict[int, ErrorTally | FiledTally] = {
@@ -290,12 +297,15 @@ def _observe_object(
     profiles = read_profiles(smoothed, contour, reach_px=options.search_px, noise=noise)
     edges = edge_distance(profiles) if profiles else None
     shift = best_shift(profiles, largest_px=options.shift_px) if profiles else None
-    residual = displaced = None
+    centre = view.caster.corners[object_id].mean(axis=0)
+    residual = displaced = surface = None
     if sensor is not None and scene.objects.object(object_id).material in DIFFUSE_MATERIALS:
         trusted = mask & (view.truth.mask == object_id) if view.truth and view.hides else mask
         residual = depth_residual(view.depth, sensor, trusted)
         displaced = depth_shift(contour, view.depth, sensor)
-    centre = view.caster.corners[object_id].mean(axis=0)
+        surface = depth_equations(
+            view.depth, sensor, trusted, view.camera, view.T_world_cam, centre
+        )
     jacobian, z = shift_jacobian(view.camera, view.T_world_cam, centre)
     return ObjectObservation(
         visible_px,
@@ -310,6 +320,7 @@ def _observe_object(
         motion_equations(contour, profiles, view.camera, view.T_world_cam, centre)
         if profiles
         else None,
+        surface,
         scene.T_world_obj(object_id),
     )
 

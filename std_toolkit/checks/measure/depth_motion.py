@@ -1,0 +1,209 @@
+"""Motion of a label in six degrees of freedom by the sensor depth on its object.
+
+Every reading within the visible outline gives one equation: how far the measured surface lies from
+that of the label along its normal, and how a small motion of the object moves the label there
+(point to plane; Y. Chen and G. Medioni, 1992). Solved for besides are errors that all readings of
+the object share: a depth that is too large by one factor, and an image of depth that is shifted
+against colour. Readings of one frame err together, as do those of neighbouring frames: the
+covariance follows from how frames disagree, and from a part that no number of readings takes away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from std_toolkit.arrays import Array
+from std_toolkit.checks.measure.array_file import ArrayFile, FiledArray
+from std_toolkit.checks.measure.motion_solver import without_free
+from std_toolkit.checks.measure.sensor_depth import EDGE_MARGIN_PX, SensorDepthSettings
+from std_toolkit.checks.result import Value
+from std_toolkit.geometry import SE3, Camera
+from std_toolkit.geometry.camera import pixel_rays
+from std_toolkit.labels.refine.edges.uncertainty import disagreement
+from std_toolkit.settings import NOT_RECORDED, Settings, limit
+
+_UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
+_LARGEST_SAMPLE = 2000
+# Translation, rotation, factor of the depth, shift of its image along x and y.
+_UNKNOWNS = 9
+_REWEIGHTED = 6
+_SMALLEST_STD_M = 0.0005
+# Sine of the angle between ray and surface below which a reading is not used.
+_GRAZING = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthMotionSettings(Settings):
+    """How far readings of sensor depth are believed."""
+
+    correlated_px: float = limit(60.0, unit="px", source="windows of matching, and filled holes")
+    """readings that have one error in common"""
+    factor: float = limit(0.02, source="a D435 that was not calibrated again")
+    """deviation of the factor by which depth is too large"""
+    shift_px: float = limit(1.0, unit="px", source="depth that is aligned to colour")
+    """deviation of the shift of the depth image along an axis"""
+    surface_mm: float = limit(1.0, unit="mm", source=NOT_RECORDED)
+    """deviation of a measured surface that looks like a motion, and stays in all frames"""
+    patches: float = limit(4.0, source=NOT_RECORDED)
+    """independent patches of such a surface"""
+    fewest_frames: int = limit(3, source="one frame or two do not tell how readings err")
+    """frames that a motion needs"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DepthEquations:
+    """Readings on one object in one frame, summed up.
+
+    Attributes:
+        sums: (10, 10) normal equations: their matrix, their right side as the last column, and the
+            number of independent readings as the first of the last row.
+    """
+
+    sums: Array | FiledArray
+
+    def filed(self, file: ArrayFile) -> DepthEquations:
+        """The same in a file.
+
+        Raises:
+            ToolkitError: the disk is full.
+        """
+        return DepthEquations(file.put(np.asarray(self.sums)))
+
+    def load(self) -> tuple[Array, Array, float]:
+        """Matrix (9, 9), right side (9,), and the number of independent readings."""
+        sums = np.asarray(self.sums)
+        return sums[:_UNKNOWNS, :_UNKNOWNS], sums[:_UNKNOWNS, _UNKNOWNS], float(sums[_UNKNOWNS, 0])
+
+
+def depth_equations(
+    rendered: NDArray[np.floating],
+    sensor: NDArray[np.floating],
+    mask: NDArray[np.bool_],
+    camera: Camera,
+    T_world_cam: SE3,
+    centre: Array,
+) -> DepthEquations | None:
+    """The equations of one object in one frame.
+
+    Args:
+        rendered, sensor: (H, W) z-depth in metres, 0 = none.
+        mask: (H, W) pixels that show the object.
+        camera, T_world_cam: the view.
+        centre: (3,) of the object in the world, metres.
+
+    Returns:
+        None if too few readings lie on the object.
+    """
+    limits = DepthMotionSettings.current()
+    x, y, w, h = cv2.boundingRect(mask.astype(np.uint8))
+    part = np.s_[y : y + h, x : x + w]
+    size = 2 * EDGE_MARGIN_PX + 1
+    inner = cv2.erode(
+        mask[part].astype(np.uint8),
+        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)),
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    )
+    z, measured = rendered[part].astype(np.float64), sensor[part].astype(np.float64)
+    near = np.abs(measured - z) < SensorDepthSettings.current().tolerance_m
+    use = np.flatnonzero((inner > 0) & (z > 0) & (measured > 0) & near)
+    if len(use) < SensorDepthSettings.current().fewest_pixels:
+        return None
+    if len(use) > _LARGEST_SAMPLE:
+        use = use[np.linspace(0, len(use) - 1, _LARGEST_SAMPLE).round().astype(int)]
+    rays = pixel_rays(camera)[part]
+    points = rays * z[..., None]
+    along_y, along_x = (np.gradient(points, axis=k).reshape(-1, 3)[use] for k in (0, 1))
+    normals = np.cross(along_y, along_x)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    at, ray = points.reshape(-1, 3)[use], rays.reshape(-1, 3)[use]
+    facing = -(normals * ray).sum(axis=1) / np.linalg.norm(ray, axis=1)
+    seen = facing > _GRAZING
+    if seen.sum() < SensorDepthSettings.current().fewest_pixels:
+        return None
+    count = (inner > 0).sum() * seen.mean()
+    at, ray, normals = at[seen], ray[seen], normals[seen]
+    off = (measured - z).ravel()[use][seen] * (normals * ray).sum(axis=1)
+    n = normals @ T_world_cam.R.T
+    arm = at @ T_world_cam.R.T + T_world_cam.t - centre
+    # A reading at pixel u is of the surface at u - shift.
+    aside = normals[:, :2] * at[:, 2:] / np.array([camera.fx, camera.fy])
+    J = np.concatenate(
+        [n, np.cross(arm, n), (normals * at).sum(axis=1, keepdims=True), aside], axis=1
+    )
+    prior = _prior()
+    independent = count / limits.correlated_px
+    weights, scale = np.ones(len(J)), 0.0
+    for _ in range(_REWEIGHTED):
+        M = (J * weights[:, None]).T @ J
+        x0 = np.linalg.solve(M + prior * 1e-6, (J * weights[:, None]).T @ off)
+        left = np.abs(off - J @ x0)
+        scale = max(1.4826 * float(np.median(left)), _SMALLEST_STD_M)
+        weights = 1 / (1 + (left / (2 * scale)) ** 2)
+    share = independent / len(J) / scale**2 * weights
+    sums = np.zeros((_UNKNOWNS + 1, _UNKNOWNS + 1))
+    sums[:_UNKNOWNS, :_UNKNOWNS] = (J * share[:, None]).T @ J
+    sums[:_UNKNOWNS, _UNKNOWNS] = (J * share[:, None]).T @ off
+    sums[_UNKNOWNS, 0] = share.sum()
+    return DepthEquations(sums)
+
+
+def depth_motion(
+    equations: Sequence[DepthEquations],
+    free: Array,
+    cameras: Sequence[Array],
+) -> Value | None:
+    """The motion from a label to where sensor depth puts its object; see `ObjectCheck`.
+
+    Args:
+        equations: of the frames that show the object well.
+        free: (N, 6) motions that its symmetry leaves open.
+        cameras: (6, 6) covariance by frame, see `shared_errors.seen_errors`.
+
+    Returns:
+        `surface_mm`; None with too few frames.
+    """
+    limits = DepthMotionSettings.current()
+    if len(equations) < limits.fewest_frames:
+        return None
+    loaded = [e.load() for e in equations]
+    information = np.sum([A for A, _, _ in loaded], axis=0)
+    pull = np.sum([b for _, b, _ in loaded], axis=0)
+    readings = sum(n for _, _, n in loaded)
+    prior = _prior()
+    for motion in free:
+        row = np.append(motion, [0.0, 0.0, 0.0])
+        prior = prior + np.outer(row, row) / 1e-6**2
+    inverse = np.linalg.inv(information + prior)
+    x = inverse @ pull
+    moved = [A[:, :6] @ C @ A[:6] for (A, _, _), C in zip(loaded, cameras, strict=True)]
+    expected = [(A + C, b - A @ x) for (A, b, _), C in zip(loaded, moved, strict=True)]
+    covariance = inverse * disagreement(expected) + inverse @ sum(moved) @ inverse
+    # An error of the surface that stays: as if each frame had seen few patches, and all the same.
+    kept = without_free(free)
+    stays = information[:6, :6] / readings * limits.patches / (limits.surface_mm / 1000) ** 2
+    stays = np.linalg.inv(stays + prior[:6, :6])
+    covariance = kept @ (covariance[:6, :6] + stays) @ kept.T
+    motion, covariance = (kept @ x[:6]) * _UNITS, covariance * np.outer(_UNITS, _UNITS)
+    return Value(
+        key="surface_mm",
+        value=round(float(np.linalg.norm(motion[:3])), 2),
+        std=round(float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])), 2),
+        unit="mm",
+        source="depth",
+        frames=len(equations),
+        motion=[round(float(v), 3) for v in motion],
+        covariance=[float(f"{v:.6g}") for v in covariance.ravel()],
+    )
+
+
+def _prior() -> Array:
+    limits = DepthMotionSettings.current()
+    return np.diag(
+        1 / np.array([0.03] * 3 + [0.25] * 3 + [limits.factor] + [limits.shift_px] * 2) ** 2
+    )
