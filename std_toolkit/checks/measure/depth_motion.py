@@ -179,16 +179,19 @@ def depth_motion(
     for motion in free:
         row = np.append(motion, [0.0, 0.0, 0.0])
         prior = prior + np.outer(row, row) / 1e-6**2
-    inverse = np.linalg.inv(information + prior)
-    x = inverse @ pull
     moved = [A[:, :6] @ C @ A[:6] for (A, _, _), C in zip(loaded, cameras, strict=True)]
-    expected = [(A + C, b - A @ x) for (A, b, _), C in zip(loaded, moved, strict=True)]
-    covariance = inverse * disagreement(expected) + inverse @ sum(moved) @ inverse
-    # An error of the surface that stays: as if each frame had seen few patches, and all the same.
+    x = np.linalg.solve(information + prior, pull)
+    noise = disagreement(
+        [(A + C, b - A @ x) for (A, b, _), C in zip(loaded, moved, strict=True)], least=1.0
+    )
+    # A surface that is measured wrongly in all frames: no more than some patches are independent.
+    stays = readings * (limits.surface_mm / 1000) ** 2 / limits.patches
+    part = 1 / (noise + stays)
+    inverse = np.linalg.inv(part * information + prior)
+    x = part * inverse @ pull
+    covariance = inverse + part**2 * inverse @ sum(moved) @ inverse
     kept = without_free(free)
-    stays = information[:6, :6] / readings * limits.patches / (limits.surface_mm / 1000) ** 2
-    stays = np.linalg.inv(stays + prior[:6, :6])
-    covariance = kept @ (covariance[:6, :6] + stays) @ kept.T
+    covariance = kept @ covariance[:6, :6] @ kept.T
     motion, covariance = (kept @ x[:6]) * _UNITS, covariance * np.outer(_UNITS, _UNITS)
     return Value(
         key="surface_mm",

@@ -21,6 +21,7 @@ def seen(
     *,
     aligned: Sequence[float] | None = None,
     standing: Sequence[float] | None = None,
+    surface: Sequence[float] | None = None,
     mm: float = 0.5,
     deg: float = 0.3,
     size_m: float = 0.25,
@@ -38,9 +39,12 @@ def seen(
         values.append(
             Value(key="texture_mm", source="texture", motion=list(texture), covariance=covariance)
         )
-    for key, motion in (("aligned_mm", aligned), ("standing_mm", standing)):
+    for key, source, motion in (
+        ("aligned_mm", "depth", aligned),
+        ("surface_mm", "depth", surface),
+        ("standing_mm", "support", standing),
+    ):
         if motion is not None:
-            source = "depth" if key == "aligned_mm" else "support"
             values.append(
                 Value(key=key, source=source, motion=list(motion), covariance=covariance)  # type: ignore[arg-type]
             )
@@ -190,3 +194,33 @@ def test_a_lone_frame_counts_where_nothing_else_does() -> None:
 def test_a_lone_frame_that_leaves_the_distance_open_is_unknown() -> None:
     assert seen(aligned=aside(1.0), mm=10.0).verdict == "unknown"
     assert seen(aligned=aside(60.0), mm=10.0).verdict in ("doubtful", "wrong")
+
+
+def test_depth_turns_a_doubt_of_the_contour_into_an_answer() -> None:
+    turned = aside(0.2, 2.6)
+    assert seen(turned).verdict == "doubtful"
+    assert seen(turned, surface=aside(0.1, 1.6)).verdict == "fits"
+    assert seen(turned, surface=aside(0.1, 3.8)).verdict == "wrong"
+
+
+def test_depth_that_lies_elsewhere_accuses_no_label() -> None:
+    found = seen(aside(0.2), aside(0.3), surface=aside(9))
+    assert found.verdict == "fits"
+    assert "texture and depth disagree by 8.7 mm" in found.reason
+    assert found.reason.endswith("its sensor depth errs")
+
+
+def test_an_object_of_another_shape_is_so_for_depth_as_well() -> None:
+    found = seen(aside(6), aside(0.2), surface=aside(1.5))
+    assert (found.verdict, found.cause) == ("fits", "shape")
+
+
+def test_depth_on_an_object_that_is_not_seen_is_no_evidence() -> None:
+    value = Value(
+        key="surface_mm", source="depth", motion=aside(0), covariance=np.eye(6).ravel().tolist()
+    )
+    item = ObjectCheck(
+        object=1, name="box", model="box", category="box", material="diffuse", label="refined",
+        values=[value],
+    )  # fmt: skip
+    assert weigh(item, OPTIONS) is None
