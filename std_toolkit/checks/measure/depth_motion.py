@@ -13,14 +13,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.array_file import ArrayFile, FiledArray
 from std_toolkit.checks.measure.motion_solver import without_free
-from std_toolkit.checks.measure.sensor_depth import EDGE_MARGIN_PX, SensorDepthSettings
+from std_toolkit.checks.measure.sensor_depth import SensorDepthSettings, inner_part
 from std_toolkit.checks.result import Value
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.camera import pixel_rays
@@ -28,10 +27,10 @@ from std_toolkit.labels.refine.edges.uncertainty import disagreement
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
-_LARGEST_SAMPLE = 2000
+_LARGEST_SAMPLE = 400
 # Translation, rotation, factor of the depth, shift of its image along x and y.
 _UNKNOWNS = 9
-_REWEIGHTED = 6
+_REWEIGHTED = 3
 _SMALLEST_STD_M = 0.0005
 # Sine of the angle between ray and surface below which a reading is not used.
 _GRAZING = 0.25
@@ -100,35 +99,32 @@ def depth_equations(
         None if too few readings lie on the object.
     """
     limits = DepthMotionSettings.current()
-    x, y, w, h = cv2.boundingRect(mask.astype(np.uint8))
-    part = np.s_[y : y + h, x : x + w]
-    size = 2 * EDGE_MARGIN_PX + 1
-    inner = cv2.erode(
-        mask[part].astype(np.uint8),
-        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)),
-        borderType=cv2.BORDER_CONSTANT,
-        borderValue=0,
-    )
-    z, measured = rendered[part].astype(np.float64), sensor[part].astype(np.float64)
+    part, inner = inner_part(mask)
+    z, measured = rendered[part], sensor[part]
     near = np.abs(measured - z) < SensorDepthSettings.current().tolerance_m
-    use = np.flatnonzero((inner > 0) & (z > 0) & (measured > 0) & near)
-    if len(use) < SensorDepthSettings.current().fewest_pixels:
+    v, u = np.nonzero(inner & (z > 0) & (measured > 0) & near)
+    total = len(v)
+    if total < SensorDepthSettings.current().fewest_pixels:
         return None
-    if len(use) > _LARGEST_SAMPLE:
-        use = use[np.linspace(0, len(use) - 1, _LARGEST_SAMPLE).round().astype(int)]
+    if total > _LARGEST_SAMPLE:
+        chosen = np.linspace(0, total - 1, _LARGEST_SAMPLE).round().astype(int)
+        v, u = v[chosen], u[chosen]
     rays = pixel_rays(camera)[part]
-    points = rays * z[..., None]
-    along_y, along_x = (np.gradient(points, axis=k).reshape(-1, 3)[use] for k in (0, 1))
-    normals = np.cross(along_y, along_x)
+
+    def point(down: int, right: int) -> Array:
+        at = (v + down, u + right)
+        return np.asarray(rays[at] * z[at][:, None].astype(np.float64))
+
+    # Neighbours show the object, too: the mask was eroded.
+    normals = np.cross(point(1, 0) - point(-1, 0), point(0, 1) - point(0, -1))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    at, ray = points.reshape(-1, 3)[use], rays.reshape(-1, 3)[use]
+    at, ray = point(0, 0), rays[v, u]
     facing = -(normals * ray).sum(axis=1) / np.linalg.norm(ray, axis=1)
     seen = facing > _GRAZING
-    if seen.sum() < SensorDepthSettings.current().fewest_pixels:
+    if total * seen.mean() < SensorDepthSettings.current().fewest_pixels:
         return None
-    count = (inner > 0).sum() * seen.mean()
     at, ray, normals = at[seen], ray[seen], normals[seen]
-    off = (measured - z).ravel()[use][seen] * (normals * ray).sum(axis=1)
+    off = (measured[v, u] - z[v, u])[seen].astype(np.float64) * (normals * ray).sum(axis=1)
     n = normals @ T_world_cam.R.T
     arm = at @ T_world_cam.R.T + T_world_cam.t - centre
     # A reading at pixel u is of the surface at u - shift.
@@ -137,7 +133,7 @@ def depth_equations(
         [n, np.cross(arm, n), (normals * at).sum(axis=1, keepdims=True), aside], axis=1
     )
     prior = _prior()
-    independent = count / limits.correlated_px
+    independent = total * seen.mean() / limits.correlated_px
     weights, scale = np.ones(len(J)), 0.0
     for _ in range(_REWEIGHTED):
         M = (J * weights[:, None]).T @ J

@@ -68,6 +68,21 @@ class DepthResidual:
     pixels: int
 
 
+def inner_part(mask: NDArray[np.bool_]) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+    """Rows and columns of the image that hold a mask (H, W), and its pixels there that lie
+    `EDGE_MARGIN_PX` inside of its outline."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    part = np.s_[y : y + h, x : x + w]
+    size = 2 * EDGE_MARGIN_PX + 1
+    inner = cv2.erode(
+        mask[part].astype(np.uint8),
+        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)),
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    )
+    return part, inner.astype(bool)
+
+
 def depth_residual(
     rendered: NDArray[np.floating], sensor: NDArray[np.floating], mask: NDArray[np.bool_]
 ) -> DepthResidual | None:
@@ -80,13 +95,8 @@ def depth_residual(
     Returns:
         None if fewer than `SensorDepthSettings.current().fewest_pixels` pixels have both.
     """
-    size = 2 * EDGE_MARGIN_PX + 1
-    inner = cv2.erode(
-        mask.astype(np.uint8),
-        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)),
-        borderType=cv2.BORDER_CONSTANT,
-        borderValue=0,
-    ).astype(bool)
+    part, inner = inner_part(mask)
+    rendered, sensor = rendered[part], sensor[part]
     use = inner & (rendered > 0) & (sensor > 0)
     count = int(use.sum())
     if count < SensorDepthSettings.current().fewest_pixels:
