@@ -21,6 +21,8 @@ _TYPES = {
     "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
+# Of colours by the type of their numbers; 255 in all others.
+_LARGEST_COLOR = {"f4": 1.0, "f8": 1.0, "u2": 65535.0}
 _LARGEST_HEADER = 1 << 16
 _STL_HEADER, _STL_FACE = 84, 50
 
@@ -141,8 +143,8 @@ def _ply(data: bytes) -> trimesh.Trimesh:
             vertices = rows[:, [column[c] for c in "xyz"]]
             if {"red", "green", "blue"} <= column.keys():
                 stored = rows[:, [column[c] for c in ("red", "green", "blue")]]
-                is_share = properties[column["red"]][1] in ("f4", "f8")
-                colors = np.rint(stored * 255 if is_share else stored).clip(0, 255)
+                largest = _LARGEST_COLOR.get(properties[column["red"]][1], 255)
+                colors = np.rint(stored * (255 / largest)).clip(0, 255)
                 colors = colors.astype(np.uint8)
     faces = np.concatenate(triangles) if triangles else np.zeros((0, 3), np.int64)
     return trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False)

@@ -89,8 +89,9 @@ _UNITS = {1.0: "metres", 0.001: "millimetres"}
 def unit_of_place(t: ArrayLike, path: Path, data: Path) -> float:
     """Return the metres per number of a place before the camera, for sets that do not state it.
 
-    A depth camera sees from centimetres to metres: numbers below 10 are metres, above 50 mm. The
-    unit is logged once for each set, and all files of a set have one.
+    A depth camera sees from centimetres to metres: numbers below 10 are metres, above 150
+    millimetres; those between may be centimetres. The unit is logged once for each set, and all
+    files of a set have one.
 
     Args:
         t: x, y, z in the camera's frame, z forward.
@@ -101,7 +102,7 @@ def unit_of_place(t: ArrayLike, path: Path, data: Path) -> float:
         ToolkitError: behind the camera, neither, or another unit than earlier files of the set.
     """
     z = float(np.asarray(t, np.float64).ravel()[2])
-    if not (0.01 < z < 10 or 50 < z < 10_000):
+    if not (0.01 < z < 10 or 150 < z < 10_000):
         raise ToolkitError(
             "an object stands before the camera, in metres or in millimetres", path=path,
             field="translation", value=f"z = {z:g}",

@@ -354,6 +354,7 @@ def test_colours_that_are_not_shown_are_named(
         ("uchar", "diffuse_", "255 0 0"),
         ("uchar", "short", "255 0 0"),
         ("float", "", "1.0 0 0"),
+        ("ushort", "", "65535 0 0"),
         ("uchar", "", "255 0 0"),
     ],
 )
