@@ -32,8 +32,6 @@ _LARGEST_SAMPLE = 400
 _UNKNOWNS = 9
 _REWEIGHTED = 3
 _SMALLEST_STD_M = 0.0005
-# Sine of the angle between ray and surface below which a reading is not used.
-_GRAZING = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +48,8 @@ class DepthMotionSettings(Settings):
     """deviation of a measured surface that looks like a motion, and stays in all frames"""
     patches: float = limit(4.0, source=NOT_RECORDED)
     """independent patches of such a surface"""
+    facing: float = limit(0.25, source="15 deg, where a pixel sees depths that differ by its width")
+    """least sine of the angle between ray and surface of a reading"""
     fewest_frames: int = limit(3, source="one frame or two do not tell how readings err")
     """frames that a motion needs"""
 
@@ -120,7 +120,7 @@ def depth_equations(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     at, ray = point(0, 0), rays[v, u]
     facing = -(normals * ray).sum(axis=1) / np.linalg.norm(ray, axis=1)
-    seen = facing > _GRAZING
+    seen = facing > limits.facing
     if total * seen.mean() < SensorDepthSettings.current().fewest_pixels:
         return None
     at, ray, normals = at[seen], ray[seen], normals[seen]
