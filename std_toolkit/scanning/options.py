@@ -72,7 +72,8 @@ class ScanOptions:
     neighbours: Annotated[int, msgspec.Meta(ge=2, le=20)] = 6
     """number of photos that each photo is compared with for depth"""
     depth: str = "patchmatch"
-    """engine of the depth maps: patchmatch, an installed plug-in, or file.py:NAME"""
+    """engine of the depth maps: patchmatch; colmap, the stereo of your COLMAP with CUDA; an
+    installed plug-in, or file.py:NAME"""
     max_features: Annotated[int, msgspec.Meta(ge=100, le=1_000_000)] = 4000
     """SIFT features per photo"""
     image_size: Annotated[int, msgspec.Meta(ge=320, le=65_535)] = 1600

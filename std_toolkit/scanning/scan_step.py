@@ -26,7 +26,7 @@ from std_toolkit.scanning.photos import photos as photo_files
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.video import is_video, sample_video
 from std_toolkit.scanning.photos.views import View
-from std_toolkit.scanning.surface.depth_maps import ENGINES, DepthEngine
+from std_toolkit.scanning.surface.depth_maps import DepthEngine, depth_engine
 from std_toolkit.scanning.surface.measured_surface import (
     Side,
     fused_surface,
@@ -86,7 +86,7 @@ def _scan(options: ScanOptions, work: Path, known: Sequence[str]) -> Scan:
         began = time.perf_counter()
         logger.info("%s: %.0f s", name, seconds[name])
 
-    engine = ENGINES.get(options.depth)
+    engine = depth_engine(options.depth)
     vessel: RevolvedSurface | None = None
     sides: list[tuple[Side, SE3]] = []
     if options.flipped is not None:

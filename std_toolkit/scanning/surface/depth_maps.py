@@ -67,8 +67,25 @@ class DepthEngine(Protocol):
 
 
 ENGINES: Registry[DepthEngine] = Registry(
-    "std_toolkit.scan_depth", {"patchmatch": "std_toolkit.scanning.surface.depth_maps:depth_maps"}
+    "std_toolkit.scan_depth",
+    {
+        "patchmatch": "std_toolkit.scanning.surface.depth_maps:depth_maps",
+        "colmap": "std_toolkit.scanning.surface.colmap_depth:colmap_depth",
+    },
 )
+
+
+def depth_engine(name: str) -> DepthEngine:
+    """The engine of a name, which may have a function `check` that raises where it cannot run.
+
+    Raises:
+        ToolkitError: there is no such engine, or it cannot run here.
+    """
+    engine = ENGINES.get(name)
+    check = getattr(engine, "check", None)
+    if check is not None:
+        check()
+    return engine
 
 
 def choose_neighbours(views: Sequence[View], target: Array, count: int) -> list[list[int]]:

@@ -81,7 +81,7 @@ def test_a_painted_ball_is_scanned_and_the_scan_resumes(
     def never(*_: object, **__: object) -> None:
         raise AssertionError("made again although nothing changed")
 
-    monkeypatch.setattr(scan_step.ENGINES, "get", lambda _: never)
+    monkeypatch.setattr(scan_step, "depth_engine", lambda _: never)
     monkeypatch.setattr(object_masks, "segment_by_border", never)
     again = scan_step.scan(options_for(tmp_path))
     assert np.array_equal(again.vertices, done.vertices)
