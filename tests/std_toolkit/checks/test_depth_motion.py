@@ -12,8 +12,15 @@ from std_toolkit.arrays import Array
 from std_toolkit.checks.gates.located import Located, located_by
 from std_toolkit.checks.measure.array_file import ArrayFile
 from std_toolkit.checks.measure.contours import LabelCaster
-from std_toolkit.checks.measure.depth_motion import DepthEquations, depth_equations, depth_motion
+from std_toolkit.checks.measure.depth_motion import (
+    DepthEquations,
+    DepthMotionSettings,
+    depth_equations,
+    depth_motion,
+)
 from std_toolkit.geometry import SE3, Camera, so3_exp
+from std_toolkit.settings import override
+from tests.std_toolkit.labels.realsense_ycb import load_frame
 from tests.std_toolkit.scanning.ball import look_at
 
 CAMERA = Camera(320, 240, 300, 300, 159.5, 119.5)
@@ -75,8 +82,8 @@ def test_a_motion_is_measured() -> None:
     np.testing.assert_allclose(at.motion[:3], MOTION[:3], atol=1.5)
     np.testing.assert_allclose(at.motion[3:], MOTION[3:], atol=0.7)
     assert deviations(at, MOTION).max() < 1
-    assert at.mm[1] < 6  # a factor of 2 % at half a metre is one of 5 mm in height
-    assert at.deg[1] < 2.5
+    assert at.mm[1] < 10  # a factor of 2 % at half a metre is one of 5 mm in height
+    assert at.deg[1] < 6
 
 
 def test_noise_moves_it_within_its_deviations() -> None:
@@ -105,10 +112,10 @@ def test_two_frames_do_not_tell_how_readings_err() -> None:
 
 def test_errors_of_cameras_widen_it() -> None:
     rows = equations(BOX, np.zeros(6))
-    cameras = [np.diag([0.003**2] * 3 + [0.01**2] * 3)] * len(rows)
+    cameras = [np.diag([0.01**2] * 3 + [0.03**2] * 3)] * len(rows)
     wide = located_by(depth_motion(rows, NOTHING_FREE, cameras))
     assert wide is not None
-    assert wide.mm[1] > 1.3 * located(rows).mm[1]
+    assert wide.mm[1] > 1.2 * located(rows).mm[1]
 
 
 def test_readings_of_other_surfaces_are_left_out() -> None:
@@ -124,6 +131,32 @@ def test_readings_of_other_surfaces_are_left_out() -> None:
         rows.append(depth_equations(label, hand, mask, CAMERA, view, np.zeros(3)))
     at = located([row for row in rows if row is not None])
     np.testing.assert_allclose(at.motion, 0, atol=0.1)
+
+
+@pytest.mark.real
+def test_deviations_hold_for_a_real_sensor(test_data: Path) -> None:
+    """The two frames that did not set them, against reference poses, which have errors, too."""
+    z = []
+    for index in (2, 3):
+        frame = load_frame(test_data, index)
+        objects = dict(enumerate(frame.objects, 1))
+        view = frame.view
+        caster = LabelCaster({k: (o.T_world_obj @ o.vertices, o.faces) for k, o in objects.items()})
+        whole = np.ones((view.camera.height, view.camera.width), bool)
+        hits = caster.cast_pixels(view.camera, view.T_world_cam, whole)
+        depth, ids = hits.depth.reshape(whole.shape), hits.object_id.reshape(whole.shape)
+        for k, thing in objects.items():
+            centre = caster.corners[k].mean(axis=0)
+            rows = depth_equations(
+                depth, view.depth, ids == k, view.camera, view.T_world_cam, centre
+            )
+            assert rows is not None, thing.name
+            with override(DepthMotionSettings(fewest_frames=1)):
+                at = located([rows])
+            z += list(deviations(at, np.zeros(6)))
+    assert len(z) == 60
+    assert np.mean(np.array(z) < 1) > 0.6
+    assert np.mean(np.array(z) < 2) > 0.85
 
 
 def test_rows_in_a_file_give_the_same(tmp_path: Path) -> None:
