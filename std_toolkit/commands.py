@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.options import ImportOptions
 from std_toolkit.jobs.door import Writes
 from std_toolkit.options import (
@@ -71,14 +72,22 @@ class DoctorCommand:
 
 @dataclass(frozen=True, kw_only=True)
 class InfoCommand:
-    """Print the contents of a scene, what is missing, and the next command."""
+    """Print the contents of a scene, what is missing, and the next command.
 
-    scene: Path = field(metadata={"writes": Writes("scene")})
-    """scene folder"""
+    Of several scenes, print a row each: labels, verdicts, people, check and the next command. The
+    exit status is 1 if one of them cannot be read.
+    """
+
+    scenes: tuple[Path, ...] = field(metadata={"writes": Writes("scene")})
+    """scene folders"""
     frames: bool = False
-    """list the frames instead: id, name, files, registered, labelled"""
+    """list the frames of one scene instead: id, name, files, registered, labelled"""
     json: bool = False
     """print JSON"""
+
+    def __post_init__(self) -> None:
+        if not self.scenes:
+            raise ToolkitError("needed", field="SCENES", hint="name one scene folder or several")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -87,11 +87,13 @@ def asked(jobs: JobOptions) -> JobOptions | None:
 
 
 def print_info(command: InfoCommand) -> int:
-    """Print the summary of a scene, or its frames."""
+    """Print the summary of a scene, or its frames; of several scenes, a row each."""
     from std_toolkit.checks.summary import frame_table, list_frames, summarise
     from std_toolkit.scene.scene import Scene
 
-    scene = Scene.open(command.scene)
+    if len(command.scenes) > 1:
+        return _print_board(command)
+    scene = Scene.open(command.scenes[0])
     if command.frames:
         rows = list_frames(scene)
         if command.json:
@@ -105,6 +107,19 @@ def print_info(command: InfoCommand) -> int:
     else:
         print("\n".join(summary.lines()))
     return 0
+
+
+def _print_board(command: InfoCommand) -> int:
+    from std_toolkit.project.board import board, board_table, doubts
+
+    if command.frames:
+        raise ToolkitError("lists the frames of one scene", field="--frames")
+    scenes = board(command.scenes)
+    if command.json:
+        print_json({"scenes": [{**asdict(s), "root": str(s.root)} for s in scenes]})
+    else:
+        print("\n".join([board_table(scenes).terminal(), *doubts(scenes)]))
+    return 1 if any(scene.problem for scene in scenes) else 0
 
 
 def recover_poses(command: PosesCommand) -> int:

@@ -88,14 +88,15 @@ def opened(options: Iterable[tuple[str, Any, Mapping[str, Any]]], program: str) 
     with ExitStack() as held:
         outputs, inputs = [], set()
         for title, value, metadata in options:
-            for item in value if isinstance(value, tuple) else (value,):
+            items = value if isinstance(value, tuple) else (value,)
+            for item in items:
                 if isinstance(item, Path | str):
                     file = _FILE_OF_CODE.fullmatch(str(item))
                     status = regular(file[1] if file else item, field=title)
                     if status is not None and "writes" not in metadata:
                         inputs.add((status.st_dev, status.st_ino))
             if "writes" in metadata and value is not None:
-                outputs.append((title, Path(value), metadata["writes"]))
+                outputs += [(title, Path(item), metadata["writes"]) for item in items]
         for title, path, writes in outputs:
             status = regular(path, field=title) if writes.kind == "file" else None
             if status is not None and (status.st_dev, status.st_ino) in inputs:

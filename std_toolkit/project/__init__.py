@@ -1,0 +1,1 @@
+"""Many scenes: what is done in each, and what is next."""

@@ -1,0 +1,165 @@
+"""The board of several scenes: the state of every object, and the next command of every scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from std_toolkit.checks.summary import SceneSummary, summarise
+from std_toolkit.errors import ToolkitError
+from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.scene.judgement import GRADES, Grade
+from std_toolkit.scene.scene import Scene
+
+State = Literal["open", "labelled", "done"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectState:
+    """One object of a scene.
+
+    Attributes:
+        name: of the object.
+        state: "done" if an annotator accepted its pose, "open" without a label.
+        grade, reason: verdict on the label as far as it holds; None without a label.
+        annotator: who labelled it, or "".
+        minutes: that the annotator worked on it, at least; None if that is not known.
+    """
+
+    name: str
+    state: State
+    grade: Grade | None = None
+    reason: str = ""
+    annotator: str = ""
+    minutes: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneState:
+    """One scene.
+
+    Attributes:
+        root: its folder.
+        folder: as it was given.
+        name: of the scene.
+        frames, registered: number of frames, and of those with a camera pose.
+        objects: all of them.
+        check: "passed", "failed", or "" without a current report.
+        next_command: what to run next; None if the scene is complete.
+        problem: why the scene cannot be read; "" otherwise, and all else is empty.
+    """
+
+    root: Path
+    folder: str
+    name: str
+    frames: int = 0
+    registered: int = 0
+    objects: list[ObjectState] = field(default_factory=list)
+    check: Literal["passed", "failed", ""] = ""
+    next_command: str | None = None
+    problem: str = ""
+
+    @property
+    def minutes(self) -> float | None:
+        """That people worked on its labels, at least; None if that is not known of any."""
+        known = [o.minutes for o in self.objects if o.minutes is not None]
+        return sum(known) if known else None
+
+
+def board(folders: Sequence[Path]) -> list[SceneState]:
+    """The states of scenes, in the order given; a scene that cannot be read is one of them.
+
+    Raises:
+        ToolkitError: a folder is given twice.
+    """
+    roots = [folder.resolve() for folder in folders]
+    for k, root in enumerate(roots):
+        if root in roots[:k]:
+            raise ToolkitError("the scene is given twice", path=folders[k])
+    found = []
+    for folder in folders:
+        try:
+            scene = Scene.open(folder)
+            found.append(_state(folder, scene, summarise(scene)))
+        except ToolkitError as error:
+            found.append(
+                SceneState(root=folder, folder=str(folder), name=folder.name, problem=str(error))
+            )
+    return found
+
+
+def _state(folder: Path, scene: Scene, summary: SceneSummary) -> SceneState:
+    labels = {label.object: label for label in scene.labels.labels}
+    verdicts = {verdict.object: verdict for verdict in summary.verdicts}
+    objects = []
+    for item in scene.objects.objects:
+        label, verdict = labels.get(item.id), verdicts.get(item.id)
+        if label is None:
+            objects.append(ObjectState(name=item.name, state="open"))
+            continue
+        seconds = label.provenance.hands_on_s if label.provenance else None
+        objects.append(
+            ObjectState(
+                name=item.name,
+                state="done" if scene.annotation.of(item.id).status == "done" else "labelled",
+                grade=verdict.grade if verdict else "unknown",
+                reason=verdict.reason if verdict else "",
+                annotator=label.annotator,
+                minutes=None if seconds is None else seconds / 60,
+            )
+        )
+    passed = summary.check_passed
+    return SceneState(
+        root=scene.root,
+        folder=str(folder),
+        name=summary.name,
+        frames=summary.frames,
+        registered=summary.registered or 0,
+        objects=objects,
+        check="" if passed is None else "passed" if passed else "failed",
+        next_command=summary.next_command,
+    )
+
+
+def board_table(scenes: Sequence[SceneState]) -> Table:
+    """One row per scene: frames, labels, verdicts, people, minutes, check and the next command."""
+    words = ("scene", "poses", "labelled", "done", *GRADES, "by", "minutes", "check", "next")
+    left = ("scene", "by", "check", "next")
+    return Table(
+        columns=[Column(heading=word, numeric=word not in left) for word in words],
+        rows=[Row([Cell(text=text) for text in _cells(scene)]) for scene in scenes],
+    )
+
+
+def _cells(scene: SceneState) -> list[str]:
+    if scene.problem:
+        blank = [""] * (len(GRADES) + 5)
+        return [scene.folder, *blank, "unreadable", scene.problem]
+    labelled = [o for o in scene.objects if o.state != "open"]
+    total = len(scene.objects)
+    grades = [sum(o.grade == grade for o in labelled) for grade in GRADES]
+    people = sorted({o.annotator for o in labelled if o.annotator})
+    return [
+        scene.folder,
+        f"{scene.registered}/{scene.frames}",
+        f"{len(labelled)}/{total}",
+        f"{sum(o.state == 'done' for o in labelled)}/{total}",
+        *(str(n) if n else "" for n in grades),
+        ", ".join(people),
+        "" if scene.minutes is None else f"{scene.minutes:.1f}",
+        scene.check or "none",
+        scene.next_command or "complete",
+    ]
+
+
+def doubts(scenes: Sequence[SceneState]) -> list[str]:
+    """A line for every label that is wrong or doubtful, the wrong ones first."""
+    rows = [
+        (o.grade, f"{o.grade}: {scene.folder}: {o.name}: {o.reason}")
+        for scene in scenes
+        for o in scene.objects
+        if o.grade in ("wrong", "doubtful")
+    ]
+    return [line for _, line in sorted(rows, key=lambda row: row[0] != "wrong")]
