@@ -39,6 +39,7 @@ ORDER: dict[str, tuple[tuple[str, ...], ...]] = {
         ("exporters", "labels"),
         ("scanning",),
         ("checks",),
+        ("project",),
         ("cli",),
     ),
     "annotator": (
