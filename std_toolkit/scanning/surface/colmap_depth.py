@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -25,13 +26,20 @@ from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.photos.visibility import hull_depth
 from std_toolkit.scanning.surface.depth_maps import DepthMap, choose_neighbours, object_window
 from std_toolkit.scanning.surface.patch_match import Map
+from std_toolkit.settings import Settings, limit
 
 # COLMAP states no cost. Pixels on which its photos agree count as well-matched ones.
 _COST = 0.1
 # Pixels of the window in which the contrast is measured, as of the built-in engine.
 _WINDOW_PX = 11
-# Part of the largest depth below the hull by which a surface may lie before it.
-_BEFORE = 0.06
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColmapDepthSettings(Settings):
+    """Depth of COLMAP that is taken."""
+
+    before: float = limit(0.06, source="as the built-in engine searches")
+    """part of the largest depth below the hull by which a surface may lie before it"""
 
 
 def check_colmap() -> None:
@@ -173,8 +181,9 @@ def _map(
             "a map of COLMAP has another size than its photo", path=path, value=depth.shape
         )
     start, _ = hull_depth(view, caster, target, window)
+    before = ColmapDepthSettings.current().before
     kept = view.shown[part] & (start > 0)
-    kept &= (depth[part] > start - _BEFORE * deepest) & (depth[part] < start + deepest)
+    kept &= (depth[part] > start - before * deepest) & (depth[part] < start + deepest)
     return DepthMap(
         x0,
         y0,
