@@ -235,7 +235,9 @@ def plain_look(look: PlainLook, seed: int) -> DrawnMaterial:
             glass=Glass(ior=1.5, roughness=0.0, transmission=0.95, bend=1.0),
         )
     if look == "steel":
-        return draw_material(rng, "specular", name="steel_polished")
+        # None of the object's own paint.
+        drawn = draw_material(rng, "specular", name="steel_polished")
+        return msgspec.structs.replace(drawn, own_share=0.0)
     if look == "original":
         return draw_material(rng, "raw", textured=True)
     # Titanium dioxide: bright, rough, with a slight grain.

@@ -3,52 +3,153 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import pandas as pd
+
 from benchmark.evaluation.depth_panels import PANELS, TRUST_PANEL
 from benchmark.evaluation.results import counted
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, Gallery
 from benchmark.evaluation.tasks.depth_results import RunResult, read_results
+from benchmark.metrics.depth.figures import shown_columns
+from benchmark.metrics.protocols.protocol import get_protocol
+from benchmark.metrics.significance import compare_methods
 from benchmark.report import leaderboard
 from benchmark.report.page import (
     MOST_PICTURED,
+    Layout,
     ReportPart,
     left_out,
     table_files,
     terminal_text,
 )
-from benchmark.report.parts import depth_plots, depth_tables
+from benchmark.report.parts import comparisons, depth_plots, depth_tables
 from benchmark.report.parts.published import TASKS, other_protocols
+from std_toolkit.errors import ToolkitError
 from std_toolkit.html import page
 from std_toolkit.html.page import Gallery as Pictures
+from std_toolkit.html.table import Column, Table
 from std_toolkit.io.documents import read_document
 
 CSV, MARKDOWN, LATEX = "leaderboard.csv", "leaderboard.md", "leaderboard.tex"
+SEEDS = "leaderboard_seeds.csv"
 _RANKS = {"best": "best frame", "median": "median frame", "worst": "worst frame"}
 
 
-def depth_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
+def depth_part(
+    folders: Sequence[Path], *, published: bool = True, layout: Layout | None = None
+) -> ReportPart:
     """See `ReportTask`.
 
     Raises:
-        ToolkitError: a run is damaged, or no frame could be scored.
+        ToolkitError: a run is damaged, no frame could be scored, or no run has a picture of a
+            frame of the layout.
     """
+    layout = layout or Layout()
     board = leaderboard.make_board(read_results(folders), published=published)
-    tables = [
+    paper = depth_tables.paper_tables(board) if layout.paper else []
+    boards = [
         table
         for where in board.boards
         for make in (depth_tables.board_tables, depth_tables.seen_tables)
         for table in make(board, *where)
     ]
+    seeds = _over_seeds(board)
+    tables = [
+        *(paper or boards),
+        *(
+            t
+            for rows, columns, title in seeds
+            for t in comparisons.seed_table(rows, columns, title)
+        ),
+    ]
+    files = table_files((CSV, MARKDOWN, LATEX), tables, board.rows)
+    if seeds:
+        told = pd.concat([rows.assign(of=title) for rows, _, title in seeds], ignore_index=True)
+        files[SEEDS] = told.to_csv(index=False, lineterminator="\n")
+    first = [page.Section("paper", "As papers print it", paper)] if paper else []
     return ReportPart(
         title="Depth restoration",
         summary=_summary(board),
-        sections=[*board_sections(board), *(_published(board) if published else ())],
+        sections=[
+            *first,
+            *board_sections(board, layout),
+            *(_published(board) if published else ()),
+        ],
         terminal=terminal_text(tables),
-        files=table_files((CSV, MARKDOWN, LATEX), tables, board.rows),
+        files=files,
+        latex=LATEX,
+        tables=tables,
     )
 
 
-def board_sections(board: leaderboard.Board) -> list[page.Section]:
-    """Return the sections of a leaderboard."""
+def _over_seeds(board: leaderboard.Board) -> list[tuple[pd.DataFrame, Sequence[Column], str]]:
+    """Rows over training seeds, columns and title of each table of the leaderboards."""
+    found = []
+    for split, protocol in board.boards:
+        groups = comparisons.seed_groups(
+            [r for r in board.runs(split) if r.manifest.setup.protocol == protocol]
+        )
+        grid, first = get_protocol(protocol).main
+        columns = shown_columns(aligned=bool(get_protocol(protocol).align))
+        for subset in dict.fromkeys((first, *depth_tables.MAIN_SUBSETS)):
+            part = board.part(split, protocol, grid, subset)
+            of = part[leaderboard.is_ranked(part)].set_index("method").to_dict("index")
+            rows = comparisons.seed_rows(
+                groups, lambda r, of=of: of.get(r.manifest.label), [c.name for c in columns]
+            )
+            what = depth_tables.OBJECTS.get(subset, subset)
+            title = (
+                f"{depth_tables.board_title(board, split, protocol)}, {what}, over training seeds"
+            )
+            if len(rows):
+                found.append((rows, columns, title))
+    return found
+
+
+def pair_tables(
+    board: leaderboard.Board, split: str, protocol: str, paired: comparisons.Paired
+) -> list[Table]:
+    """Return the table of p of all pairs of ranked methods, by RMSE.
+
+    Args:
+        board: all rows.
+        split, protocol: of the leaderboard.
+        paired: over scenes, or over frames as if each were independent.
+    """
+    grid, subset = get_protocol(protocol).main
+    part = board.part(split, protocol, grid, subset)
+    names = part.loc[leaderboard.is_ranked(part), "method"].tolist()[: comparisons.MOST_COMPARED]
+    frames = board.tables
+    chosen = (frames["split"] == split) & (frames["protocol"] == protocol)
+    chosen &= (frames["grid"] == grid) & (frames["subset"] == subset)
+    frames = frames[chosen & frames["method"].isin(names) & (frames["n_pixels"] > 0)]
+    test = "Wilcoxon's signed-rank test of the mean differences of scenes."
+    if paired == "frames":
+        frames = frames.assign(scene=frames["scene"] + "/" + frames["frame"])
+        test = (
+            "Wilcoxon's signed-rank test of the differences of frames, which in one scene are not "
+            "independent: p is too small."
+        )
+    frames = frames.sort_values("method", key=lambda m: m.map(names.index), kind="stable")
+    if len(names) < 2 or frames["scene"].nunique() < 2:
+        return []
+    pairs = compare_methods(frames, leaderboard.RANKED_BY, samples=1)
+    return comparisons.pair_table(
+        names,
+        list(pairs[["difference", "p_wilcoxon"]].itertuples(index=False, name=None)),
+        depth_tables.RMSE,
+        title=f"All pairs, {depth_tables.board_title(board, split, protocol)}",
+        test=test,
+    )
+
+
+def board_sections(board: leaderboard.Board, layout: Layout | None = None) -> list[page.Section]:
+    """Return the sections of a leaderboard.
+
+    Raises:
+        ToolkitError: no run has a picture of a frame of the layout.
+    """
+    layout = layout or Layout()
+    seeds = {title: (rows, columns) for rows, columns, title in _over_seeds(board)}
     colors = depth_plots.method_colors(board)
     found = []
     for i, (split, protocol) in enumerate(board.boards):
@@ -58,11 +159,17 @@ def board_sections(board: leaderboard.Board) -> list[page.Section]:
         )
     for i, (split, protocol) in enumerate(board.boards):
         title = f"In detail: {depth_tables.board_title(board, split, protocol)}"
-        found.append(page.Section(f"detail-{i}", title, _breakdown(board, split, protocol, colors)))
+        blocks = [
+            *pair_tables(board, split, protocol, layout.paired),
+            *_breakdown(board, split, protocol, colors),
+        ]
+        found.append(page.Section(f"detail-{i}", title, blocks))
+    over = [t for title, of in seeds.items() for t in comparisons.seed_table(*of, title)]
     return [
         *found,
+        page.Section("seeds", "Over training seeds", over),
         page.Section("speed", "Speed", _speed(board, colors)),
-        page.Section("gallery", "Gallery", gallery(_best_first(board))),
+        page.Section("gallery", "Gallery", gallery(_best_first(board), layout.gallery)),
         page.Section("runs", "What ran", [depth_tables.run_table(board.results)]),
     ]
 
@@ -142,11 +249,15 @@ def _best_first(board: leaderboard.Board) -> list[RunResult]:
     return sorted(board.results, key=place_of)
 
 
-def gallery(results: Sequence[RunResult]) -> list[page.Block]:
+def gallery(results: Sequence[RunResult], wanted: Sequence[str] = ()) -> list[page.Block]:
     """Pictures of the common frames for each method, then the best and worst frames of each.
 
     Args:
         results: runs; only the first `MOST_PICTURED` with pictures are shown.
+        wanted: SCENE/FRAME of the common frames to show, in this order; empty for all.
+
+    Raises:
+        ToolkitError: no run has a common picture of such a frame.
     """
     blocks: list[page.Block] = []
     every = [(r, pictures) for r in results if (pictures := _gallery_of(r))]
@@ -158,6 +269,21 @@ def gallery(results: Sequence[RunResult]) -> list[page.Block]:
             if p.rank == "common":
                 key = (result.place, setup.protocol, p.scene, p.frame)
                 common.setdefault(key, []).append((result, p.picture, p.rmse))
+    if wanted:
+        known = list(dict.fromkeys(f"{scene}/{frame}" for *_, scene, frame in common))
+        for name in wanted:
+            if name not in known:
+                raise ToolkitError(
+                    "no run has a picture of this frame for all methods",
+                    field="--gallery",
+                    value=name,
+                    hint=f"known: {', '.join(known) or 'none'}; `std-bench --gallery-frames` makes "
+                    "pictures of others",
+                )
+        at = {
+            key: wanted.index(f"{key[2]}/{key[3]}") for key in common if "/".join(key[2:]) in wanted
+        }
+        common = {key: common[key] for key in sorted(at, key=lambda k: at[k])}
     for (split, protocol, scene, frame), shown in common.items():
         strips = [
             _strip(result, picture, f"{result.manifest.label}: {rmse * 1e3:.1f} mm")

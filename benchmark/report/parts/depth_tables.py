@@ -14,10 +14,13 @@ from benchmark.evaluation.tasks.depth_speed import CPU_CORES, CPU_S, STANDARD
 from benchmark.metrics.depth.figures import shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report import leaderboard
+from benchmark.report.page import NOTES
 from benchmark.report.parts.published import address_note
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 
 RMSE = leaderboard.METRICS[0]
+# Data sets in the order in which papers print them.
+PAPER_SETS = ("dreds-catknown-test", "dreds-catnovel", "std-catknown", "std-catnovel")
 # Subsets with a separate table.
 MAIN_SUBSETS = ("all", "specular+transparent")
 OBJECTS = {
@@ -253,7 +256,7 @@ def _method_table(
         tested = counts and competes and can_differ(row["scenes"], methods)
         alike = tested and row["p_best"] >= leaderboard.SIGNIFICANT
         note = f"published; {source_of(row)}" if published else "≈" if alike else ""
-        cells = [Cell(text=row["method"], note=note), *([class_cell(row)] if in_classes else [])]
+        cells = [Cell(text=row["method"]), *([class_cell(row)] if in_classes else [])]
         cells += [frames_cell(row), _COUNTS[1].cell(row["scenes"])] if counts else []
         for column in columns:
             value = row[column.name]
@@ -270,10 +273,54 @@ def _method_table(
                 )
             )
         cells += [Cell(text=str(row["hardware"]))] if hardware else []
+        cells += [Cell(text=note)]
         made.append(Row(cells, "published" if published else ""))
     heads = [_METHOD, *([_CLASS] if in_classes else []), *(_COUNTS if counts else ()), *columns]
     heads += [Column(heading="on", numeric=False)] if hardware else []
-    return Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
+    heads += [Column(heading=NOTES, numeric=False)]
+    table = Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
+    return table if any(row.cells[-1].text for row in made) else table.without(NOTES)
+
+
+def paper_tables(board: leaderboard.Board) -> list[Table]:
+    """Return a table for each protocol as papers print it: all data sets, each figure of all
+    objects / of specular and transparent ones."""
+    tables = []
+    for protocol in dict.fromkeys(name for _, name in board.boards):
+        grid, _ = get_protocol(protocol).main
+        columns = shown_columns(aligned=bool(get_protocol(protocol).align))
+        splits = [split for split, name in board.boards if name == protocol]
+        splits.sort(key=lambda s: PAPER_SETS.index(s) if s in PAPER_SETS else len(PAPER_SETS))
+        made, sources = [], []
+        for split in splits:
+            both = [
+                leaderboard.one_of_each(board.part(split, protocol, grid, subset)).set_index(
+                    "method"
+                )
+                for subset in MAIN_SUBSETS
+            ]
+            for method, row in both[0].iterrows():
+                hard = both[1].loc[method] if method in both[1].index else None
+                published = row["kind"] == leaderboard.PUBLISHED
+                if published:
+                    sources.append(row["source"])
+                figures = []
+                for column in columns:
+                    pair = [row, *([] if hard is None else [hard])]
+                    texts = [column.text(r[column.name], published=published) or NONE for r in pair]
+                    figures.append(Cell(text=" / ".join(texts), value=row[column.name]))
+                note = source_of(row.to_dict()) if published else ""
+                cells = [Cell(text=split), Cell(text=str(method)), *figures, Cell(text=note)]
+                made.append(Row(cells, "published" if published else ""))
+        heads = [Column(heading=h, numeric=False) for h in ("data", "method")]
+        table = Table(
+            columns=[*heads, *columns, Column(heading=NOTES, numeric=False)],
+            rows=made,
+            title=f"Protocol {protocol}: all objects / specular and transparent ones",
+            notes=[address_note(sources)] if sources else [],
+        )
+        tables.append(table if sources else table.without(NOTES))
+    return tables
 
 
 def frames_cell(row: dict[str, object]) -> Cell:
