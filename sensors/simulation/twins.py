@@ -3,16 +3,13 @@
 The twins of a frame have the same cameras, object poses, floor, light and noise; only the materials
 of the objects differ. OUT/scenes/<twin>/<scene> are toolkit scenes with the frame ids, frame names
 and labels of the source: rows of the same scene and frame are twins of each other.
-
-The objects rest on the plane under them. Where labels disagree with it by millimetres it is lowered
-to the lowest point of any object: a floor must hide no labelled surface.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,6 +42,7 @@ from sensors.simulation.simulated_set import (
     parts_cache,
 )
 from sensors.simulation.simulator import Simulator
+from sensors.simulation.stills import Still, plane_under, stills
 from sensors.simulation.turntable_objects import mesh_object
 from sensors.simulation.world_builder import World, looks_of
 from std_toolkit import __version__
@@ -55,23 +53,12 @@ from std_toolkit.importers.foreign_files import mesh_suffix
 from std_toolkit.io.atomic import refuse_links
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
 from std_toolkit.jobs.artefact import begin
-from std_toolkit.labels.support.neighbours import Cameras, common_support
-from std_toolkit.labels.support.solid import PlacedObject
 from std_toolkit.log import logger
 from std_toolkit.options import usable_cores
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, Labels
-from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Formats of meshes in scenes that need no other file.
 _COPIED = (".ply", ".glb")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TwinSettings(Settings):
-    """Labelled objects on a plane."""
-
-    floats_m: float = limit(0.015, unit="m", source=NOT_RECORDED)
-    """an object this far above the plane is named"""
 
 
 def simulate_twins(
@@ -178,34 +165,6 @@ def _check_source(folder: Path, record: SceneRecord, labelled: LabelledScene) ->
             path=folder,
             hint="remove the folder of the twin: the same command makes it again",
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Still:
-    """Frames in which all objects rest at the same place.
-
-    Attributes:
-        T_own_cam: of the frames, in the frame of `T_own_obj`: the world, or one frame's camera.
-    """
-
-    frames: list[LabelledFrame]
-    T_own_cam: list[SE3]
-    T_own_obj: dict[int, SE3]
-
-
-def stills(scene: LabelledScene) -> list[_Still]:
-    """The frames of a scene by arrangement: one for static objects, else one for each frame."""
-    if scene.static:
-        cameras = [f.T_world_cam for f in scene.frames if f.T_world_cam is not None]
-        first = scene.frames[0]
-        # One pose in the world for all frames: that of the label.
-        world = {
-            i: SE3.from_matrix(label.T_world_obj)
-            for i in first.T_cam_obj
-            if (label := scene.labels.of(i)) is not None and label.T_world_obj is not None
-        }
-        return [_Still(scene.frames, cameras, world)]
-    return [_Still([f], [SE3.identity()], f.T_cam_obj) for f in scene.frames]
 
 
 class TwinScene:
@@ -347,7 +306,7 @@ class TwinScene:
         model = msgspec.structs.replace(scene.models[obj.model], mesh=path)
         return MetricObject(item, obj.name, model, _one_uv(mesh), file)
 
-    def _world(self, still: _Still, T_plane_own: SE3, index: int) -> World:
+    def _world(self, still: Still, T_plane_own: SE3, index: int) -> World:
         count = len(still.frames)
         part = slice(index, index + count)
         # A seed for each arrangement: its noise is its own.
@@ -394,42 +353,3 @@ def _as_filed(made: SimulatedFrame, frame: LabelledFrame) -> SimulatedFrame:
     T_world_cam = frame.T_world_cam or SE3.identity()
     T_cam_ir = made.T_world_cam.inverse() @ made.T_world_ir
     return replace(made, index=frame.id, T_world_cam=T_world_cam, T_world_ir=T_world_cam @ T_cam_ir)
-
-
-def plane_under(scene: LabelledScene, still: _Still) -> SE3:
-    """T_plane_own: z up, the plane under the objects at z = 0, their middle above the origin.
-
-    Raises:
-        ToolkitError: the cameras see no object from above.
-    """
-    names = {o.id: (o.name, o.model) for o in scene.objects}
-    objects = [
-        PlacedObject(names[i][0], scene.meshes[names[i][1]], T)
-        for i, T in still.T_own_obj.items()
-        if i in names
-    ]
-    found = common_support(objects, Cameras.of(still.T_own_cam))
-    if found is None:
-        raise ToolkitError(
-            "the cameras see no object from above: no plane under the objects",
-            field=f"{scene.name}, frame {still.frames[0].name}",
-        )
-    up = found.normal
-    heights = {o.name: float((o.T_frame_obj @ o.solid.hull @ up).min()) for o in objects}
-    level = min(heights.values())
-    limits = TwinSettings.current()
-    for name, low in heights.items():
-        if low - level > limits.floats_m:
-            logger.warning(
-                "%s, frame %s: %s is %.0f mm above the plane, which is under the lowest object",
-                scene.name, still.frames[0].name, name, 1000 * (low - level),
-            )  # fmt: skip
-    middles = np.array([T.t for T in still.T_own_obj.values()])
-    middle = (middles.min(axis=0) + middles.max(axis=0)) / 2
-    origin = middle - up * (up @ middle - level)
-    R_cam = still.T_own_cam[0].R
-    flat = R_cam - np.outer(up, up @ R_cam)
-    axis = flat[:, 0] if np.linalg.norm(flat[:, 0]) > 0.5 else flat[:, 1]
-    x = axis / np.linalg.norm(axis)
-    R = np.stack([x, np.cross(up, x), up])
-    return SE3(R, -R @ origin)

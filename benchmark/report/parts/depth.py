@@ -9,9 +9,6 @@ from benchmark.evaluation.depth_panels import PANELS, TRUST_PANEL
 from benchmark.evaluation.results import counted
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, Gallery
 from benchmark.evaluation.tasks.depth_results import RunResult, read_results
-from benchmark.metrics.depth.figures import shown_columns
-from benchmark.metrics.protocols.protocol import get_protocol
-from benchmark.metrics.significance import compare_methods
 from benchmark.report import leaderboard
 from benchmark.report.page import (
     MOST_PICTURED,
@@ -21,12 +18,11 @@ from benchmark.report.page import (
     table_files,
     terminal_text,
 )
-from benchmark.report.parts import comparisons, depth_plots, depth_tables
+from benchmark.report.parts import comparisons, depth_comparisons, depth_plots, depth_tables
 from benchmark.report.parts.published import TASKS, other_protocols
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html import page
 from std_toolkit.html.page import Gallery as Pictures
-from std_toolkit.html.table import Column, Table
 from std_toolkit.io.documents import read_document
 
 CSV, MARKDOWN, LATEX = "leaderboard.csv", "leaderboard.md", "leaderboard.tex"
@@ -45,14 +41,14 @@ def depth_part(
     """
     layout = layout or Layout()
     board = leaderboard.make_board(read_results(folders), published=published)
-    paper = depth_tables.paper_tables(board) if layout.paper else []
+    paper = depth_comparisons.paper_tables(board) if layout.paper else []
     boards = [
         table
         for where in board.boards
         for make in (depth_tables.board_tables, depth_tables.seen_tables)
         for table in make(board, *where)
     ]
-    seeds = _over_seeds(board)
+    seeds = depth_comparisons.over_seeds(board)
     tables = [
         *(paper or boards),
         *(
@@ -81,67 +77,6 @@ def depth_part(
     )
 
 
-def _over_seeds(board: leaderboard.Board) -> list[tuple[pd.DataFrame, Sequence[Column], str]]:
-    """Rows over training seeds, columns and title of each table of the leaderboards."""
-    found = []
-    for split, protocol in board.boards:
-        groups = comparisons.seed_groups(
-            [r for r in board.runs(split) if r.manifest.setup.protocol == protocol]
-        )
-        grid, first = get_protocol(protocol).main
-        columns = shown_columns(aligned=bool(get_protocol(protocol).align))
-        for subset in dict.fromkeys((first, *depth_tables.MAIN_SUBSETS)):
-            part = board.part(split, protocol, grid, subset)
-            of = part[leaderboard.is_ranked(part)].set_index("method").to_dict("index")
-            rows = comparisons.seed_rows(
-                groups, lambda r, of=of: of.get(r.manifest.label), [c.name for c in columns]
-            )
-            what = depth_tables.OBJECTS.get(subset, subset)
-            title = (
-                f"{depth_tables.board_title(board, split, protocol)}, {what}, over training seeds"
-            )
-            if len(rows):
-                found.append((rows, columns, title))
-    return found
-
-
-def pair_tables(
-    board: leaderboard.Board, split: str, protocol: str, paired: comparisons.Paired
-) -> list[Table]:
-    """Return the table of p of all pairs of ranked methods, by RMSE.
-
-    Args:
-        board: all rows.
-        split, protocol: of the leaderboard.
-        paired: over scenes, or over frames as if each were independent.
-    """
-    grid, subset = get_protocol(protocol).main
-    part = board.part(split, protocol, grid, subset)
-    names = part.loc[leaderboard.is_ranked(part), "method"].tolist()[: comparisons.MOST_COMPARED]
-    frames = board.tables
-    chosen = (frames["split"] == split) & (frames["protocol"] == protocol)
-    chosen &= (frames["grid"] == grid) & (frames["subset"] == subset)
-    frames = frames[chosen & frames["method"].isin(names) & (frames["n_pixels"] > 0)]
-    test = "Wilcoxon's signed-rank test of the mean differences of scenes."
-    if paired == "frames":
-        frames = frames.assign(scene=frames["scene"] + "/" + frames["frame"])
-        test = (
-            "Wilcoxon's signed-rank test of the differences of frames, which in one scene are not "
-            "independent: p is too small."
-        )
-    frames = frames.sort_values("method", key=lambda m: m.map(names.index), kind="stable")
-    if len(names) < 2 or frames["scene"].nunique() < 2:
-        return []
-    pairs = compare_methods(frames, leaderboard.RANKED_BY, samples=1)
-    return comparisons.pair_table(
-        names,
-        list(pairs[["difference", "p_wilcoxon"]].itertuples(index=False, name=None)),
-        depth_tables.RMSE,
-        title=f"All pairs, {depth_tables.board_title(board, split, protocol)}",
-        test=test,
-    )
-
-
 def board_sections(board: leaderboard.Board, layout: Layout | None = None) -> list[page.Section]:
     """Return the sections of a leaderboard.
 
@@ -149,7 +84,7 @@ def board_sections(board: leaderboard.Board, layout: Layout | None = None) -> li
         ToolkitError: no run has a picture of a frame of the layout.
     """
     layout = layout or Layout()
-    seeds = {title: (rows, columns) for rows, columns, title in _over_seeds(board)}
+    seeds = {title: (rows, columns) for rows, columns, title in depth_comparisons.over_seeds(board)}
     colors = depth_plots.method_colors(board)
     found = []
     for i, (split, protocol) in enumerate(board.boards):
@@ -160,7 +95,7 @@ def board_sections(board: leaderboard.Board, layout: Layout | None = None) -> li
     for i, (split, protocol) in enumerate(board.boards):
         title = f"In detail: {depth_tables.board_title(board, split, protocol)}"
         blocks = [
-            *pair_tables(board, split, protocol, layout.paired),
+            *depth_comparisons.pair_tables(board, split, protocol, layout.paired),
             *_breakdown(board, split, protocol, colors),
         ]
         found.append(page.Section(f"detail-{i}", title, blocks))

@@ -19,8 +19,6 @@ from benchmark.report.parts.published import address_note
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 
 RMSE = leaderboard.METRICS[0]
-# Data sets in the order in which papers print them.
-PAPER_SETS = ("dreds-catknown-test", "dreds-catnovel", "std-catknown", "std-catnovel")
 # Subsets with a separate table.
 MAIN_SUBSETS = ("all", "specular+transparent")
 OBJECTS = {
@@ -280,47 +278,6 @@ def _method_table(
     heads += [Column(heading=NOTES, numeric=False)]
     table = Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
     return table if any(row.cells[-1].text for row in made) else table.without(NOTES)
-
-
-def paper_tables(board: leaderboard.Board) -> list[Table]:
-    """Return a table for each protocol as papers print it: all data sets, each figure of all
-    objects / of specular and transparent ones."""
-    tables = []
-    for protocol in dict.fromkeys(name for _, name in board.boards):
-        grid, _ = get_protocol(protocol).main
-        columns = shown_columns(aligned=bool(get_protocol(protocol).align))
-        splits = [split for split, name in board.boards if name == protocol]
-        splits.sort(key=lambda s: PAPER_SETS.index(s) if s in PAPER_SETS else len(PAPER_SETS))
-        made, sources = [], []
-        for split in splits:
-            both = [
-                leaderboard.one_of_each(board.part(split, protocol, grid, subset)).set_index(
-                    "method"
-                )
-                for subset in MAIN_SUBSETS
-            ]
-            for method, row in both[0].iterrows():
-                hard = both[1].loc[method] if method in both[1].index else None
-                published = row["kind"] == leaderboard.PUBLISHED
-                if published:
-                    sources.append(row["source"])
-                figures = []
-                for column in columns:
-                    pair = [row, *([] if hard is None else [hard])]
-                    texts = [column.text(r[column.name], published=published) or NONE for r in pair]
-                    figures.append(Cell(text=" / ".join(texts), value=row[column.name]))
-                note = source_of(row.to_dict()) if published else ""
-                cells = [Cell(text=split), Cell(text=str(method)), *figures, Cell(text=note)]
-                made.append(Row(cells, "published" if published else ""))
-        heads = [Column(heading=h, numeric=False) for h in ("data", "method")]
-        table = Table(
-            columns=[*heads, *columns, Column(heading=NOTES, numeric=False)],
-            rows=made,
-            title=f"Protocol {protocol}: all objects / specular and transparent ones",
-            notes=[address_note(sources)] if sources else [],
-        )
-        tables.append(table if sources else table.without(NOTES))
-    return tables
 
 
 def frames_cell(row: dict[str, object]) -> Cell:

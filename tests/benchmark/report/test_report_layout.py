@@ -21,7 +21,8 @@ from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report.leaderboard import make_board
 from benchmark.report.page import make_parts, render_page
 from benchmark.report.parts.comparisons import common_label, pair_table, seed_groups
-from benchmark.report.parts.depth import SEEDS, gallery, pair_tables
+from benchmark.report.parts.depth import SEEDS, gallery
+from benchmark.report.parts.depth_comparisons import pair_tables
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.io.documents import read_document
