@@ -189,7 +189,7 @@ def pair_table(
             if difference is None or math.isnan(p):
                 cells[i][j] = cells[j][i] = Cell(text=NONE, mark="none")
                 continue
-            sure = "best" if p < SIGNIFICANT else ""
+            sure: Literal["best", ""] = "best" if p < SIGNIFICANT else ""
             cells[i][j] = Cell(text=signed.text(difference[0]), value=difference[0], mark=sure)
             cells[j][i] = Cell(text=p_text(float(p)), value=float(p), mark=sure)
     heads = [Column(heading="method", numeric=False), *(Column(heading=n) for n in names)]

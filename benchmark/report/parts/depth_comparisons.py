@@ -1,9 +1,12 @@
 """Depth restorers beside each other: the layout of papers, training seeds, p of all pairs."""
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import pandas as pd
 
+from benchmark.evaluation.results import Result
 from benchmark.metrics.depth.figures import shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.significance import compare_methods
@@ -60,7 +63,7 @@ def paper_tables(board: leaderboard.Board) -> list[Table]:
 
 def over_seeds(board: leaderboard.Board) -> list[tuple[pd.DataFrame, Sequence[Column], str]]:
     """Return the rows over training seeds, columns and title of each table of the leaderboards."""
-    found = []
+    found: list[tuple[pd.DataFrame, Sequence[Column], str]] = []
     for split, protocol in board.boards:
         groups = comparisons.seed_groups(
             [r for r in board.runs(split) if r.manifest.setup.protocol == protocol]
@@ -70,9 +73,8 @@ def over_seeds(board: leaderboard.Board) -> list[tuple[pd.DataFrame, Sequence[Co
         for subset in dict.fromkeys((first, *depth_tables.MAIN_SUBSETS)):
             part = board.part(split, protocol, grid, subset)
             of = part[leaderboard.is_ranked(part)].set_index("method").to_dict("index")
-            rows = comparisons.seed_rows(
-                groups, lambda r, of=of: of.get(r.manifest.label), [c.name for c in columns]
-            )
+            named = partial(_figures, dict(of))
+            rows = comparisons.seed_rows(groups, named, [c.name for c in columns])
             what = depth_tables.OBJECTS.get(subset, subset)
             title = (
                 f"{depth_tables.board_title(board, split, protocol)}, {what}, over training seeds"
@@ -80,6 +82,10 @@ def over_seeds(board: leaderboard.Board) -> list[tuple[pd.DataFrame, Sequence[Co
             if len(rows):
                 found.append((rows, columns, title))
     return found
+
+
+def _figures(of: dict[Any, dict[Any, Any]], result: Result[Any]) -> dict[Any, Any] | None:
+    return of.get(result.manifest.label)
 
 
 def pair_tables(

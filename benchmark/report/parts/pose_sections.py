@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any
 
 import pandas as pd
 
 from benchmark.evaluation import depth_choice
-from benchmark.evaluation.results import FAILED
+from benchmark.evaluation.results import FAILED, Result
 from benchmark.evaluation.tasks import pose_pictures, pose_results
 from benchmark.report.leaderboard import MEASURED, PUBLISHED, is_ranked
 from benchmark.report.page import MOST_PICTURED, NOTES, left_out
@@ -100,15 +101,19 @@ def seed_tables(board: PoseBoard) -> list[Table]:
             for subset in TABLES:
                 part = board.part(split, protocol, subset)
                 of = part[is_ranked(part)].set_index(["method", "depth", "fit"]).to_dict("index")
-                rows = comparisons.seed_rows(
-                    groups, lambda r, of=of: of.get(r.name), [c.name for c in FIGURES]
-                )
+                named = partial(_figures, dict(of))
+                rows = comparisons.seed_rows(groups, named, [c.name for c in FIGURES])
                 title = (
                     f"{pose_title(board, split, protocol)}, {depth_tables.OBJECTS[subset]}, "
                     "poses right over training seeds"
                 )
                 tables += comparisons.seed_table(rows, FIGURES, title)
     return tables
+
+
+def _figures(of: dict[Any, dict[Any, Any]], result: Result[Any]) -> dict[Any, Any] | None:
+    assert isinstance(result, pose_results.PoseResult)
+    return of.get(result.name)
 
 
 def pair_tables(board: PoseBoard, split: str) -> list[Table]:
