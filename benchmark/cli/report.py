@@ -3,6 +3,7 @@
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from benchmark.cli import commands
 from std_toolkit.cli.command import Program, print_json
@@ -29,6 +30,17 @@ class ReportOptions:
     """folder of the page (the first folder of results)"""
     published: bool = True
     """the figures that papers print"""
+    layout: Literal["boards", "paper"] = "boards"
+    """paper: one table of all data sets, each figure of all objects / of specular and transparent
+    ones"""
+    paired: Literal["scenes", "frames"] = "scenes"
+    """over what all pairs of methods are compared"""
+    gallery: tuple[str, ...] = ()
+    """SCENE/FRAME of the pictures of all methods, in this order (all that the runs have)"""
+    latex_rows: tuple[str, ...] = ()
+    """methods, depths or data sets whose rows the LaTeX file has (all)"""
+    latex_columns: tuple[str, ...] = ()
+    """figures that the LaTeX file has, such as rmse (all)"""
     json: bool = False
     """print the tables as JSON"""
 
@@ -89,12 +101,14 @@ def report(options: ReportOptions) -> int:
 
     from benchmark.evaluation.submission import SUBMISSION, read_submission
     from benchmark.published.citations import names_of_runs, write_citations
-    from benchmark.report.page import TASKS, make_parts, render_page
+    from benchmark.report.page import TASKS, Layout, choose_latex, make_parts, render_page
     from std_toolkit.io.atomic import write_bytes_atomic
 
-    parts = make_parts(options.results, published=options.published)
+    layout = Layout(paper=options.layout == "paper", paired=options.paired, gallery=options.gallery)
+    parts = make_parts(options.results, published=options.published, layout=layout)
     out = options.out or options.results[0]
     texts = {name: text for part in parts for name, text in part.files.items()}
+    texts |= choose_latex(parts, rows=options.latex_rows, columns=options.latex_columns)
     texts[PAGE] = render_page(parts)
     used = names_of_runs(options.results, [task.manifest for task in TASKS])
     of_authors = [

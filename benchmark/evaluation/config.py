@@ -109,6 +109,8 @@ class FrameConfig(NetworkConfig):
     """frames that a method receives at once"""
     limit: Count | None = None
     """score only N frames, evenly spaced"""
+    gallery_frames: tuple[str, ...] = ()
+    """SCENE/FRAME of the pictures that all methods have (a few, evenly spaced)"""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -17,7 +17,7 @@ from benchmark.evaluation.values import plain_label
 from benchmark.methods.depth.full_size import at_full_size, restorer_view
 from benchmark.methods.protocol import Restorer
 from benchmark.methods.registry import MethodOptions, make_restorer, restorers, weights_digest
-from benchmark.methods.training_data import training_data
+from benchmark.methods.training_data import training_data, training_seed
 from std_toolkit.errors import ToolkitError
 
 RAW, TRUE = "raw", "gt"
@@ -97,6 +97,11 @@ class DepthProvider:
     def training_data(self) -> str:
         """What the restorer was trained on; see `benchmark.methods.training_data`."""
         return training_data(self.choice.name, self.restorer, self.choice.options)
+
+    @property
+    def training_seed(self) -> int | None:
+        """Seed that the restorer was trained with; see `benchmark.methods.training_data`."""
+        return training_seed(self.choice.name, self.restorer, self.choice.options)
 
     def depths(self, frames: Mapping[int, DepthFrame]) -> dict[int, Depth | str]:
         """Return the depth of the frames of a batch, each of any size, or error lines."""

@@ -221,6 +221,7 @@ class FrameRun(FramesRun[DepthSource, M]):
         out: folder of results.
         limit: number of frames, evenly spaced over the split; None for all.
         gallery: keep pictures of a few frames.
+        gallery_frames: names of the frames whose pictures all methods have; empty: evenly spaced.
         needs_nocs: whether the task reads what only poses need.
     """
 
@@ -235,6 +236,7 @@ class FrameRun(FramesRun[DepthSource, M]):
     batch_size: int = 8
     limit: int | None = None
     gallery: bool = True
+    gallery_frames: tuple[str, ...] = ()
 
     @property
     def data_key(self) -> object:
@@ -260,6 +262,25 @@ class FrameRun(FramesRun[DepthSource, M]):
     def chosen(self, data: DepthSource) -> list[int]:
         return chosen_frames(len(data), self.limit)
 
+    def pictured(self, data: DepthSource) -> list[int]:
+        """Return the frames of `gallery_frames`, in their order.
+
+        Raises:
+            ToolkitError: the run has no such frame.
+        """
+        keys = data.keys()
+        index = {str(keys[i]): i for i in self.chosen(data)}
+        for name in self.gallery_frames:
+            if name not in index:
+                raise ToolkitError(
+                    "the run has no such frame",
+                    path=self.root,
+                    field="--gallery-frames",
+                    value=name,
+                    hint=f"SCENE/FRAME as in the tables, such as {next(iter(index))}",
+                )
+        return [index[name] for name in dict.fromkeys(self.gallery_frames)]
+
     def inputs(self, data: DepthSource) -> Iterator[tuple[int, FrameKey, Inputs]]:
         """Yield the frames that the run uses, with the files that are read for each."""
         keys, answers = data.keys(), self.answers(data)
@@ -280,6 +301,7 @@ class FrameRun(FramesRun[DepthSource, M]):
     def setup(self, data: DepthSource, method: object) -> dict[str, Any]:
         """Return the fields that determine the table and are common to all methods on frames."""
         keys, chosen = data.keys(), self.chosen(data)
+        self.pictured(data)  # a wrong name ends the run before it begins
         return {
             "split": self.split,
             "frames": len(chosen),
@@ -304,7 +326,7 @@ def _label(method: str, options: MethodOptions) -> str:
     return name if end is None else f"{name}{end(options.settings)}"
 
 
-_OF_CONFIG = ("out", "devices", "batch_size", "limit", "gallery")
+_OF_CONFIG = ("out", "devices", "batch_size", "limit", "gallery", "gallery_frames")
 
 
 def frame_options(

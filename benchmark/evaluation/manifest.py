@@ -103,6 +103,7 @@ class Manifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
         root: folder of the data.
         weights: path of the weight file, as given.
         training_data: what the weights were trained on; "" if nothing beside them says so.
+        training_seed: that they were trained with; None if nothing beside them says so.
     """
 
     label: Name
@@ -110,6 +111,7 @@ class Manifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     root: str
     weights: str
     training_data: str = ""
+    training_seed: int | None = None
 
 
 def circumstances() -> dict[str, Any]:
@@ -211,6 +213,8 @@ class GraspManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True)
         planner_weights, depth_weights: paths of the weight files, as given.
         planner_training_data, depth_training_data: what they were trained on; "" if nothing beside
             them says so.
+        planner_training_seed, depth_training_seed: that they were trained with; None if nothing
+            beside them says so.
     """
 
     depth_label: Name
@@ -220,6 +224,8 @@ class GraspManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True)
     depth_weights: str
     planner_training_data: str = ""
     depth_training_data: str = ""
+    planner_training_seed: int | None = None
+    depth_training_seed: int | None = None
 
 
 class DumpSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -320,6 +326,8 @@ class PoseManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
         weights, depth_weights: paths of the weight files, as given.
         training_data, depth_training_data: what they were trained on; "" if nothing beside them
             says so.
+        training_seed, depth_training_seed: that the weights were trained with; None if nothing
+            beside them says so.
     """
 
     label: Name
@@ -331,6 +339,8 @@ class PoseManifest(_Run, frozen=True, kw_only=True, forbid_unknown_fields=True):
     depth_weights: str
     training_data: str = ""
     depth_training_data: str = ""
+    training_seed: int | None = None
+    depth_training_seed: int | None = None
 
 
 class BopSetup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

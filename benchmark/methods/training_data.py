@@ -1,4 +1,5 @@
-"""What weights were trained on, as the files beside them say: a run of `std-train`, or a card."""
+"""What weights were trained on and with which seed, as the files beside them say: a run of
+`std-train`, or a card."""
 
 import re
 from pathlib import Path
@@ -12,10 +13,11 @@ from std_toolkit.io.documents import read_document
 from std_toolkit.io.regular import read_text
 
 # What `std-train` leaves beside weights.
-RUN_NOTE = "run.json"
+RUN_NOTE, TRAIN_CONFIG = "run.json", "config.json"
 
 # Rows of a card, as `std-train export` writes it.
 _PART = re.compile(r"^\| ([^|]+?) \| ([\d,]+) frames of (\d+) scenes", re.MULTILINE)
+_SEED = re.compile(r"^\| seed \| (\d{1,10}) \|", re.MULTILINE)
 _SECTION = re.compile(r"^## Trained on\n(.*?)^## ", re.MULTILINE | re.DOTALL)
 _LARGEST_CARD = 2**20
 
@@ -31,6 +33,10 @@ class _Note(msgspec.Struct, frozen=True):
     training: list[_Part]
 
 
+class _Config(msgspec.Struct, frozen=True):
+    seed: int
+
+
 def training_data(name: str, method: object, options: MethodOptions) -> str:
     """Return what the weights of a method were trained on, in one line.
 
@@ -43,14 +49,42 @@ def training_data(name: str, method: object, options: MethodOptions) -> str:
         Data sets with numbers of frames and scenes, of the record of `std-train` or the card beside
         the weights; "" without weights, or where neither lies there.
     """
+    said = dict.fromkeys(_said(f) for f in _files(name, method, options))
+    return "; ".join(filter(None, said))
+
+
+def training_seed(name: str, method: object, options: MethodOptions) -> int | None:
+    """Return the seed that the weights of a method were trained with.
+
+    Args:
+        name, method, options: see `training_data`.
+
+    Returns:
+        The seed in the configuration of `std-train` or on the card beside the weights; None without
+        weights, where neither says it, and of methods that join several networks.
+    """
+    files = _files(name, method, options)
+    if len(files) != 1:
+        return None
+    config, card = files[0].parent / TRAIN_CONFIG, files[0].with_suffix(".md")
+    try:
+        if config.is_file():
+            return read_document(config, _Config).seed
+        found = _SEED.search(read_text(card, "card", _LARGEST_CARD)) if card.is_file() else None
+    except ToolkitError:  # a courtesy: the weights themselves were read
+        return None
+    return None if found is None else int(found[1])
+
+
+def _files(name: str, method: object, options: MethodOptions) -> list[Path]:
+    """Weight files of a method."""
     weights = getattr(method, "weights", None) or options.weights
     if method is None:
-        return ""
+        return []
     if weights is None:
         weights = shipped_file(name, options.preset)
     files = weights if isinstance(weights, tuple) else (weights,)  # a method may join networks
-    said = dict.fromkeys(_said(f) for f in files if isinstance(f, Path) and f.is_file())
-    return "; ".join(filter(None, said))
+    return [f for f in files if isinstance(f, Path) and f.is_file()]
 
 
 def _said(weights: Path) -> str:

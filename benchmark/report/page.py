@@ -4,6 +4,7 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import pandas as pd
 
@@ -21,8 +22,27 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.html.page import Block, Heading, Page, Paragraph, Section, Verdict
 from std_toolkit.html.table import Table
 
+# Heading of the last column of leaderboards: sources of published rows, and what is not different.
+NOTES = "notes"
+
 # Runs of a task whose pictures are on the page: pictures of more would exceed 20 MB.
 MOST_PICTURED = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """What authors choose of a report.
+
+    Attributes:
+        paper: one table of all data sets by a protocol, each figure of all objects and of specular
+            and transparent ones, in place of the leaderboards in terminal, Markdown and LaTeX.
+        paired: over what the pairs of methods are compared.
+        gallery: SCENE/FRAME of the common pictures; empty for all that the runs have.
+    """
+
+    paper: bool = False
+    paired: Literal["scenes", "frames"] = "scenes"
+    gallery: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +57,8 @@ class ReportPart:
             does not measure it.
         terminal: tables as text.
         files: further files by name, written next to the page.
+        latex: name of the LaTeX file among them, if there is one.
+        tables: the tables in it.
     """
 
     title: str
@@ -45,6 +67,8 @@ class ReportPart:
     answer: Sequence[Block] = ()
     terminal: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
+    latex: str = ""
+    tables: Sequence[Table] = ()
 
 
 @dataclass(frozen=True)
@@ -55,12 +79,14 @@ class ReportTask:
         manifest: name of a file in the folder of every run of this task, and of no other task.
         make: `module:function` that creates the part. It is called with the result folders that
             have such a file, and with `published`: whether to include figures of papers.
+        laid_out: whether it is also called with `layout`.
     """
 
     manifest: str
     make: str
+    laid_out: bool = False
 
-    def part(self, folders: Sequence[Path], *, published: bool) -> ReportPart:
+    def part(self, folders: Sequence[Path], *, published: bool, layout: Layout) -> ReportPart:
         """Create the part for these folders of results.
 
         Raises:
@@ -68,12 +94,13 @@ class ReportTask:
         """
         module, _, name = self.make.partition(":")
         make: Callable[..., ReportPart] = getattr(importlib.import_module(module), name)
-        return make(folders, published=published)
+        chosen: dict[str, Any] = {"layout": layout} if self.laid_out else {}
+        return make(folders, published=published, **chosen)
 
 
 TASKS = (
-    ReportTask(MANIFEST, "benchmark.report.parts.depth:depth_part"),
-    ReportTask(POSE_MANIFEST, "benchmark.report.parts.pose:pose_part"),
+    ReportTask(MANIFEST, "benchmark.report.parts.depth:depth_part", laid_out=True),
+    ReportTask(POSE_MANIFEST, "benchmark.report.parts.pose:pose_part", laid_out=True),
     ReportTask(BOP_FILE, "benchmark.report.parts.pose:bop_part"),
     ReportTask(GRASP_MANIFEST, "benchmark.report.parts.grasp:grasp_part"),
     ReportTask(DUMP_MANIFEST, "benchmark.report.parts.grasp_dump:dump_part"),
@@ -82,8 +109,15 @@ TASKS = (
 )
 
 
-def make_parts(folders: Sequence[Path], *, published: bool = True) -> list[ReportPart]:
+def make_parts(
+    folders: Sequence[Path], *, published: bool = True, layout: Layout | None = None
+) -> list[ReportPart]:
     """Create the parts of all tasks that have results in these folders.
+
+    Args:
+        folders: of results.
+        published: include the figures that papers print.
+        layout: what authors choose; None for the defaults.
 
     Raises:
         ToolkitError: a folder has no results, or results that cannot be used.
@@ -95,7 +129,12 @@ def make_parts(folders: Sequence[Path], *, published: bool = True) -> list[Repor
     for folder in folders:
         if not any(folder in found for found in holds.values()):
             raise ToolkitError("no results of std-bench here", path=folder)
-    return [task.part(found, published=published) for task, found in holds.items() if found]
+    layout = layout or Layout()
+    return [
+        task.part(found, published=published, layout=layout)
+        for task, found in holds.items()
+        if found
+    ]
 
 
 def markdown_tables(folders: Sequence[Path]) -> str:
@@ -145,7 +184,7 @@ def left_out(runs: int, folder: str) -> list[Paragraph]:
 
 def terminal_text(tables: Sequence[Table]) -> str:
     """Format tables for a terminal, without intervals and notes; published rows have a star."""
-    texts = [replace(table, notes=()).terminal(notes=False) for table in tables]
+    texts = [replace(table, notes=()).without(NOTES).terminal(notes=False) for table in tables]
     if any(row.kind == "published" for table in tables for row in table.rows):
         texts.append("* as printed, by this protocol; sources: std-bench list published")
     return "\n\n".join(texts)
@@ -159,14 +198,55 @@ def table_files(
     The CSV file has all rows in SI units and fractions; the others have the tables.
     """
     csv, markdown, latex = names
-    legend = "italics: as printed by the paper"
     return {
         csv: rows.to_csv(index=False, lineterminator="\n"),
         markdown: "\n\n".join(
-            [*(table.markdown() for table in tables), f"{legend.capitalize()}.\n"]
+            [*(table.markdown() for table in tables), f"{_LEGEND.capitalize()}.\n"]
         ),
-        latex: "\n\n".join(
-            [f"% needs \\usepackage{{booktabs}}; {legend}", *(table.latex() for table in tables)]
-        )
-        + "\n",
+        latex: latex_text(tables),
+    }
+
+
+_LEGEND = "italics: as printed by the paper"
+
+
+def latex_text(tables: Sequence[Table]) -> str:
+    """Return tables as a LaTeX file."""
+    head = f"% needs \\usepackage{{booktabs}}; {_LEGEND}"
+    return "\n\n".join([head, *(table.latex() for table in tables)]) + "\n"
+
+
+def choose_latex(
+    parts: Sequence[ReportPart], *, rows: Sequence[str], columns: Sequence[str]
+) -> dict[str, str]:
+    """Return the LaTeX files with the named rows and columns alone, by file name.
+
+    Args:
+        parts: of the report.
+        rows: texts of a cell that is no figure, such as the method; empty for all.
+        columns: headings or names of figures; empty for all. Columns of text stay.
+
+    Returns:
+        The files; tables without any of the rows or columns are left out.
+
+    Raises:
+        ToolkitError: no table has such a row or column.
+    """
+    tables = [t for part in parts for t in part.tables]
+    for what, wanted, known in (
+        ("--latex-rows", rows, [name for t in tables for name in t.row_names]),
+        ("--latex-columns", columns, [name for t in tables for name in t.figure_names]),
+    ):
+        for name in wanted:
+            if name not in known:
+                raise ToolkitError(
+                    "no table has it",
+                    field=what,
+                    value=name,
+                    hint=f"known: {', '.join(dict.fromkeys(known))}",
+                )
+    return {
+        part.latex: latex_text([t for t in (t.chosen(rows, columns) for t in part.tables) if t])
+        for part in parts
+        if part.latex
     }

@@ -6,7 +6,7 @@
 from collections.abc import Collection, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -212,6 +212,43 @@ def _draw_glass(rng: np.random.Generator, chosen: material_library.GlassMaterial
             haze=_uniform(rng, chosen.haze),
             gloss_roughness=_uniform(rng, chosen.gloss_roughness),
         ),
+    )
+
+
+PlainLook = Literal["glass", "steel", "matt", "original"]
+
+
+def plain_look(look: PlainLook, seed: int) -> DrawnMaterial:
+    """A material of known kind, nearly the same for all seeds.
+
+    Args:
+        look: clear glass; polished steel; sprayed matt as for scanning; or the object's own.
+        seed: of what is left open.
+    """
+    rng = np.random.default_rng([seed, 9])
+    if look == "glass":
+        return DrawnMaterial(
+            name="glass_clear",
+            material_class="transparent",
+            color=(0.97, 0.985, 0.98),
+            own_share=0.0,
+            glass=Glass(ior=1.5, roughness=0.0, transmission=0.95, bend=1.0),
+        )
+    if look == "steel":
+        # None of the object's own paint.
+        drawn = draw_material(rng, "specular", name="steel_polished")
+        return msgspec.structs.replace(drawn, own_share=0.0)
+    if look == "original":
+        return draw_material(rng, "raw", textured=True)
+    # Titanium dioxide: bright, rough, with a slight grain.
+    return DrawnMaterial(
+        name="sprayed",
+        material_class="diffuse",
+        color=(0.72, 0.72, 0.71),
+        own_share=0.0,
+        roughness=0.95,
+        specular=0.1,
+        texture=DrawnTexture(kind="grain", tile_m=0.05, contrast=0.06, seed=seed),
     )
 
 

@@ -161,7 +161,7 @@ class ReceivedFrames:
             ToolkitError: not of this scene, received before, or with another camera.
         """
         where = f"frame {frame.index}"
-        if frame.index >= self.scene.frames:
+        if frame.index not in self.scene.frame_indices:
             raise ToolkitError(f"the scene has {self.scene.frames} frames", field=where)
         if frame.index in self.poses:
             raise ToolkitError("the frame was written before", field=where)
@@ -184,7 +184,7 @@ class ReceivedFrames:
         Raises:
             ToolkitError: some frames were not accepted.
         """
-        lost = sorted(set(range(self.scene.frames)) - set(self.poses))
+        lost = sorted(set(self.scene.frame_indices) - set(self.poses))
         if lost:
             raise ToolkitError(
                 f"{len(lost)} of {self.scene.frames} frames were not written",

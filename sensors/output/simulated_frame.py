@@ -38,7 +38,7 @@ class SimulatedObject:
     """An object of a simulated scene.
 
     Attributes:
-        instance_id: 1..N, its value in masks.
+        instance_id: 1..254, its value in masks.
         asset_id: of the asset; a safe name. Two objects with the same id have the same mesh.
         category: such as "mug".
         class_id: of the category in the DREDS and STD layouts, 0 for any other.
@@ -101,13 +101,14 @@ class SimulatedScene:
         seed: seed of the scene.
         sensor: name of the sensor specification.
         frames: number of frames.
-        objects: by increasing instance id, 1..N.
+        objects: by increasing instance id.
         parameters: everything that the scene was generated from, JSON-serialisable.
         baseline_m: from the left infrared camera to the right one; None with one camera.
+        indices: of the frames, ascending; empty for 0, 1, ...
 
     Raises:
-        ToolkitError: ids that are not 1..N, one asset with two meshes, or parameters that cannot be
-            written as JSON.
+        ToolkitError: ids that do not increase, one asset with two meshes, or parameters that
+            cannot be written as JSON.
     """
 
     name: str
@@ -117,6 +118,7 @@ class SimulatedScene:
     objects: Sequence[SimulatedObject]
     parameters: Mapping[str, Any]
     baseline_m: float | None = None
+    indices: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name)
@@ -125,8 +127,10 @@ class SimulatedScene:
         if self.frames < 1:
             raise ToolkitError("must be at least 1", field="frames", value=self.frames)
         ids = [o.instance_id for o in self.objects]
-        if ids != list(range(1, len(ids) + 1)):
-            raise ToolkitError("instance ids are 1..N in order", field="objects", value=ids)
+        if ids != sorted(set(ids)):
+            raise ToolkitError("instance ids increase", field="objects", value=ids)
+        if self.indices and len(self.indices) != self.frames:
+            raise ToolkitError("one for each frame", field="indices", value=len(self.indices))
         shapes: dict[str, trimesh.Trimesh] = {}
         for item in self.objects:
             mesh = shapes.setdefault(item.asset_id, item.mesh)
@@ -141,6 +145,11 @@ class SimulatedScene:
                 )
         document_bytes(dict(self.parameters))
 
+    @property
+    def frame_indices(self) -> tuple[int, ...]:
+        """Indices of all frames."""
+        return self.indices or tuple(range(self.frames))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedFrame:
@@ -152,7 +161,7 @@ class SimulatedFrame:
     `depth_camera`.
 
     Attributes:
-        index: of the frame in its scene, from 0.
+        index: of the frame in its scene.
         color: (H, W, 3) uint8 RGB.
         infrared_left, infrared_right: (h, w) uint8, the rectified pair; a camera with one infrared
             imager has no right image.
@@ -162,7 +171,7 @@ class SimulatedFrame:
         mask_infrared: uint8 instance ids, left infrared camera.
         depth_aligned: float32 label map: the sensor's depth aligned to the colour camera.
         depth_exact: float32 label map: exact z-depth of everything, table and floor included.
-        mask: uint8 label map of instance ids 1..N, 0 = background.
+        mask: uint8 label map of instance ids, 0 = background.
         nocs: (., ., 3) float32 label map: canonical coordinates + 0.5, 0 in the background.
         normals: (., ., 3) float32 label map: unit normals in the colour camera's frame, towards the
             camera; 0 where there is no surface.

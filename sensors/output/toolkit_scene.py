@@ -11,7 +11,7 @@ Simulated objects become models of the scene, with names and at their real size.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,10 +46,14 @@ _WRITTEN_ONCE = ("color", "depth", "infrared", "models", "reference")
 class ToolkitSceneWriter:
     """Writes the frames of one scene; see `toolkit_scene`."""
 
-    def __init__(self, folder: Path, received: ReceivedFrames) -> None:
+    def __init__(
+        self, folder: Path, received: ReceivedFrames, kept: KeptLabels | None = None
+    ) -> None:
         self._folder = folder
         self._received = received
-        self._objects = metric_objects(received.scene)
+        self._kept = kept
+        self._objects = metric_objects(received.scene) if kept is None else kept.objects
+        self._names = {} if kept is None else kept.names
         self._renderer = raycast.RaycastRenderer()
         self._prepared = {
             o.item.instance_id: RenderMesh.from_arrays(o.mesh.vertices, o.mesh.faces)
@@ -64,7 +68,7 @@ class ToolkitSceneWriter:
             ToolkitError: the frame does not belong to the scene, or the disk is full.
         """
         self._received.accept(frame)
-        folder, name = self._folder, frame_name(frame.index)
+        folder, name = self._folder, self._name(frame.index)
         images.write_color(folder / f"color/{name}.png", label_color(frame))
         exr.write_exr(folder / f"depth/{name}.exr", {"Y": frame.depth_aligned}, compression="zip")
         exr.write_exr(
@@ -93,13 +97,16 @@ class ToolkitSceneWriter:
         self._received.require_all()
         scene, folder = self._received.scene, self._folder
         for obj in self._objects:
-            write_mesh(folder / obj.model.mesh, obj.mesh)
+            if obj.file is None:
+                write_mesh(folder / obj.model.mesh, obj.mesh)
+            else:
+                atomic.write_bytes_atomic(folder / obj.model.mesh, obj.file.read_bytes())
         info = scene_model.SceneInfo(
             name=scene.name,
             cameras={"color": scene_model.CameraModel.of(self._received.cameras.label)},
             source=f"{SOURCE}:{scene.sensor}",
         )
-        names = [(i, frame_name(i)) for i in range(scene.frames)]
+        names = [(i, self._name(i)) for i in scene.frame_indices]
         frames = scene_model.Frames(
             frames=[
                 scene_model.Frame(
@@ -109,19 +116,14 @@ class ToolkitSceneWriter:
             ]
         )
         written = Scene.create(folder, info, frames, _object_table(self._objects))
-        written.save_poses(
-            scene_model.CameraPoses(
-                frames=[
-                    scene_model.FramePose(
-                        frame=i, status="registered", T_world_cam=self._T_world_cam(i).flat()
-                    )
-                    for i, _ in names
-                ],
-                source=SOURCE,
-                notes=["exact poses of the simulation, in metres"],
-            )
-        )
-        written.save_labels(scene_model.Labels(labels=[self._label(obj) for obj in self._objects]))
+        if self._kept is None:
+            written.save_poses(self._poses())
+            labels = [self._label(obj) for obj in self._objects]
+            written.save_labels(scene_model.Labels(labels=labels))
+        else:
+            if self._kept.poses is not None:
+                written.save_poses(self._kept.poses)
+            written.save_labels(self._kept.labels)
         for frame, rows in sorted(self._rows.items()):
             self._write_info(written, frame, rows)
         # Not the documents, nor the maps in gt: later steps of the scene write these.
@@ -129,8 +131,23 @@ class ToolkitSceneWriter:
         outputs = documents.digest_files(folder, written_once)
         documents.write_document(record_path(folder), scene_record(self._received, outputs))
 
+    def _name(self, index: int) -> str:
+        return self._names.get(index) or frame_name(index)
+
     def _T_world_cam(self, frame: int) -> SE3:
         return self._received.poses[frame][0]
+
+    def _poses(self) -> scene_model.CameraPoses:
+        return scene_model.CameraPoses(
+            frames=[
+                scene_model.FramePose(
+                    frame=i, status="registered", T_world_cam=self._T_world_cam(i).flat()
+                )
+                for i in self._received.scene.frame_indices
+            ],
+            source=SOURCE,
+            notes=["exact poses of the simulation, in metres"],
+        )
 
     def _truth_rows(self, frame: SimulatedFrame) -> list[ObjectTruth]:
         T_cam_world = frame.T_world_cam.inverse()
@@ -138,7 +155,12 @@ class ToolkitSceneWriter:
         rows = []
         for obj in self._objects:
             key = obj.item.instance_id
-            T_cam_obj = T_cam_world @ obj.item.T_world_obj
+            if self._kept is None:
+                T_cam_obj = T_cam_world @ obj.item.T_world_obj
+            elif key in self._kept.T_cam_obj[frame.index]:
+                T_cam_obj = self._kept.T_cam_obj[frame.index][key]
+            else:  # not labelled in this frame
+                continue
             alone = maps.object_silhouette(
                 self._renderer, camera, self._prepared[key], T_cam_obj, canvas=3
             )
@@ -189,15 +211,41 @@ class ToolkitSceneWriter:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class KeptLabels:
+    """What a scene that was rendered again keeps of its source; see `simulation.twins`.
+
+    Attributes:
+        objects: in metres, with the models of the source.
+        names: of the frames, by index.
+        labels: of the objects, as filed.
+        T_cam_obj: by frame index and instance id; objects not labelled in a frame are missing.
+        poses: of the cameras, as filed; None if the source has none.
+    """
+
+    objects: list[MetricObject]
+    names: Mapping[int, str]
+    labels: scene_model.Labels
+    T_cam_obj: Mapping[int, Mapping[int, SE3]]
+    poses: scene_model.CameraPoses | None = None
+
+
 @contextmanager
-def toolkit_scene(out: Path, scene: SimulatedScene) -> Iterator[ToolkitSceneWriter]:
+def toolkit_scene(
+    out: Path, scene: SimulatedScene, *, kept: KeptLabels | None = None
+) -> Iterator[ToolkitSceneWriter]:
     """A writer of a scene, which appears at `out` when the block ends without an error.
+
+    Args:
+        out: folder of the scene.
+        scene: properties shared by all frames.
+        kept: labels, poses and names to write instead of those that follow from the scene.
 
     Raises:
         ToolkitError: `out` exists, or not every frame was written.
     """
     with atomic.new_folder(out) as folder:
-        writer = ToolkitSceneWriter(folder, ReceivedFrames(scene))
+        writer = ToolkitSceneWriter(folder, ReceivedFrames(scene), kept)
         yield writer
         writer.finish()
 
@@ -252,12 +300,14 @@ class MetricObject:
         name: unique in the scene: its category and its instance id.
         model: row of the model table.
         mesh: vertices in metres, in the object frame of the simulated poses.
+        file: of the mesh, to copy as it is; None writes the mesh.
     """
 
     item: SimulatedObject
     name: str
     model: scene_model.Model
     mesh: trimesh.Trimesh
+    file: Path | None = None
 
 
 def metric_objects(scene: SimulatedScene) -> list[MetricObject]:

@@ -89,6 +89,42 @@ class GraspNetScenes:
             raise ToolkitError("no camera pose for this image", path=path, value=image)
         return T_world_cam0 @ _pose(cameras[image], path)
 
+    def in_camera(self, scene: int, *, image: int = 0) -> list[tuple[int, SE3]]:
+        """Object numbers and T_cam_model of an image, as annotated.
+
+        Raises:
+            ToolkitError: the annotation is missing or malformed.
+        """
+        return _annotated(self._folder(scene) / "annotations" / f"{image:04d}.xml")
+
+    def intrinsics(self, scene: int) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy of the camera, pixels.
+
+        Raises:
+            ToolkitError: the file is missing or malformed.
+        """
+        path = self._folder(scene) / "camK.npy"
+        K = _array(path)
+        if K.shape != (3, 3):
+            raise ToolkitError("needs a camera matrix", path=path, value=K.shape)
+        return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+    def picture(self, scene: int, *, image: int = 0) -> Path:
+        """The colour image."""
+        return self._folder(scene) / "rgb" / f"{image:04d}.png"
+
+    def mesh_path(self, number: int) -> Path:
+        """The file of a model.
+
+        Raises:
+            ToolkitError: no such model.
+        """
+        folder = self._root / "models" / f"{number:03d}"
+        path = next((folder / m for m in _MODELS if (folder / m).is_file()), None)
+        if path is None:
+            raise ToolkitError(f"the model has none of {_MODELS}", path=folder)
+        return path
+
     def placed(self, scene: int, *, image: int = 0) -> list[PlacedModel]:
         """Poses of the models of a scene, as annotated in one of its images.
 
@@ -96,8 +132,7 @@ class GraspNetScenes:
             ToolkitError: a file is missing or malformed.
         """
         T_world_cam = self.camera_pose(scene, image=image)
-        annotation = self._folder(scene) / "annotations" / f"{image:04d}.xml"
-        return [PlacedModel(k, T_world_cam @ T) for k, T in _annotated(annotation)]
+        return [PlacedModel(k, T_world_cam @ T) for k, T in self.in_camera(scene, image=image)]
 
     def _folder(self, scene: int) -> Path:
         return self._root / "scenes" / f"scene_{scene:04d}" / self._camera
@@ -108,10 +143,7 @@ class GraspNetScenes:
         Raises:
             ToolkitError: no such model, or its file cannot be used.
         """
-        folder = self._root / "models" / f"{number:03d}"
-        path = next((folder / m for m in _MODELS if (folder / m).is_file()), None)
-        if path is None:
-            raise ToolkitError(f"the model has none of {_MODELS}", path=folder)
+        path = self.mesh_path(number)
         centre, _ = nocs_frame(load_mesh(path))
         asset = read_asset(path, asset_id=f"graspnet-{number:03d}", category="other", unit="m")
         return asset, centre

@@ -5,6 +5,9 @@ threads to the first ones, which several workers on one machine would then share
 depend on the number of threads.
 """
 
+from __future__ import annotations
+
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +20,7 @@ from sensors.materials.textures import to_srgb
 from sensors.render.sim_renderer import ColorLight
 from std_toolkit.arrays import Floats
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import Camera
 from std_toolkit.log import logger
 
 MIDDLE_GREY = 0.2
@@ -35,6 +39,12 @@ NOISE = 0.006
 
 
 """Standard deviation of the camera noise as a fraction of full scale."""
+
+
+WIDEST_LENS = 3.0
+
+
+"""Largest pinhole image for a lens, as a multiple of the image's sides."""
 
 
 def denoise(light: ColorLight, *, threads: int | None = None, fast: bool = False) -> Floats:
@@ -56,6 +66,52 @@ def denoise(light: ColorLight, *, threads: int | None = None, fast: bool = False
     if light.albedo is None or light.normal is None:
         return clean(light.radiance, None, None, fast=fast)
     return clean(light.radiance, light.albedo, light.normal, fast=fast)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Images of a camera with distortion from those of a pinhole, which renderers know.
+
+    Attributes:
+        camera: of the images.
+        rendered: pinhole of the same focal length that sees at least as much.
+    """
+
+    camera: Camera
+    rendered: Camera
+
+    @staticmethod
+    def of(camera: Camera) -> Lens:
+        """The lens of a camera.
+
+        Raises:
+            ToolkitError: the lens sees too wide for a pinhole.
+        """
+        if not camera.is_distorted:
+            return Lens(camera, camera)
+        rays = camera.rays()[..., :2].reshape(-1, 2)
+        # Bilinear sampling reads a pixel further.
+        half = [
+            int(np.ceil(f * np.abs(axis).max())) + 2 if np.isfinite(axis).all() else np.inf
+            for axis, f in zip(rays.T, (camera.fx, camera.fy), strict=True)
+        ]
+        if max(half[0] / camera.width, half[1] / camera.height) > WIDEST_LENS / 2:
+            raise ToolkitError(
+                "the lens sees too wide to be rendered by a pinhole",
+                field="distortion",
+                value=list(camera.distortion),
+                hint="undistort the images first: `std-curate import --undistort-fov`",
+            )
+        width, height = (2 * int(n) + 1 for n in half)
+        middle = float(half[0]), float(half[1])
+        return Lens(camera, Camera(width, height, camera.fx, camera.fy, *middle))
+
+    def bent(self, radiance: Floats) -> Floats:
+        """(H, W, 3) image of `camera` of one of `rendered`."""
+        if self.rendered is self.camera:
+            return radiance
+        u, v = np.moveaxis(self.rendered.project(self.camera.rays()).astype(np.float32), -1, 0)
+        return np.asarray(cv2.remap(radiance, u, v, cv2.INTER_LINEAR), np.float32)
 
 
 class ColorResponse(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -2,6 +2,8 @@
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 from sensors.simulation.options import (
     PRESETS,
@@ -26,6 +28,8 @@ def run(options: RunCommand) -> int:
 
     from sensors.simulation.simulated_set import simulate_set
 
+    if options.twins:
+        return _twins(options)
     count = PRESETS[options.preset].scenes if options.scenes is None else options.scenes
     seeds = [
         options.seed + i
@@ -41,9 +45,30 @@ def run(options: RunCommand) -> int:
         cache=options.cache,
         jobs=options.jobs,
     )
+    return _told(report, "scenes", len(seeds), options)
+
+
+def _twins(options: RunCommand) -> int:
+    """Render labelled scenes again; 1 if one failed."""
+    from sensors.simulation.twins import simulate_twins
+
+    report = simulate_twins(
+        options.out,
+        Path(options.options.scenes_from),
+        tuple(dict.fromkeys(options.twins)),
+        options.options,
+        seed=options.seed,
+        scenes=options.scenes,
+        jobs=options.jobs,
+    )
+    count = len(report.results) + len(report.failed)
+    return _told(report, "twins", count, options)
+
+
+def _told(report: Any, what: str, count: int, options: RunCommand) -> int:
     made = sum(1 for times in report.results.values() if times.frames)
     print(
-        f"{made} scenes made, {len(seeds) - made - len(report.failed)} kept, "
+        f"{made} {what} made, {count - made - len(report.failed)} kept, "
         f"{len(report.failed)} failed; in {options.out}"
     )
     frames = sum(times.frames for times in report.results.values())

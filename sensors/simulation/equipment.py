@@ -16,7 +16,7 @@ from sensors.assets import Asset, AssetSource, SourceOptions, open_source
 from sensors.depth_models import DepthModel, DepthModelOptions, make_depth_model
 from sensors.lighting import environment, environment_sources, light_draw
 from sensors.physics import GraspNetScenes
-from sensors.simulation.options import SimulationOptions
+from sensors.simulation.options import GRASPNET, SimulationOptions
 from sensors.specs import SensorSpec, load_sensor
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
@@ -46,8 +46,16 @@ class Equipment:
     arrangements: Arrangements | None
 
     @staticmethod
-    def of(options: SimulationOptions, *, threads: int | None = None) -> Equipment:
+    def of(
+        options: SimulationOptions, *, threads: int | None = None, color: Camera | None = None
+    ) -> Equipment:
         """Load all of it; fast, so that invalid options are reported before any work begins.
+
+        Args:
+            options: of the data set.
+            threads: of the depth model.
+            color: another colour camera than the sensor's, with images of its own size. Infrared
+                images have its proportions if the sensor knows them, else the size of the options.
 
         Raises:
             ToolkitError: an unknown or unusable sensor, one whose file names code, or an
@@ -57,11 +65,14 @@ class Equipment:
         if not options.allow_code:
             with names_of(f"the sensor {options.sensor}"):
                 check_named(sensor.depth_model, field="depth_model")
+        size = options.width, options.height
+        if color is not None and sensor.has_proportions(*color.size):
+            size = color.size
         model = make_depth_model(
             sensor,
             DepthModelOptions(
-                width=options.width,
-                height=options.height,
+                width=size[0],
+                height=size[1],
                 matcher=options.matcher,
                 pattern=None if options.pattern is None else Path(options.pattern),
                 pattern_fov_deg=options.pattern_fov_deg,
@@ -75,10 +86,10 @@ class Equipment:
         return Equipment(
             sensor,
             model,
-            sensor.color_camera(options.width, options.height),
+            color or sensor.color_camera(options.width, options.height),
             open_source(options.assets, SourceOptions(root=root, split=options.split)),
             environment_sources.environment_source(options.environments, split=options.split),
-            Arrangements(options) if options.scenes_from == "graspnet" else None,
+            Arrangements(options) if options.scenes_from == GRASPNET else None,
         )
 
 

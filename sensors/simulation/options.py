@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 
@@ -27,7 +27,10 @@ DepthInput = Literal["sensor", "cut", "exact"]
 
 MaterialSwitch = Literal["mixed", "clear", "fixed", "opaque"]
 
-SceneOrigin = Literal["drop", "graspnet"]
+# Where scenes come from; anything else is a folder of labelled scenes.
+DROP, GRASPNET = "drop", "graspnet"
+
+TwinName = Literal["glass", "steel", "matt", "original"]
 
 QualityName = Literal["rough", "draft", "better", "fine"]
 
@@ -67,9 +70,10 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """source of the objects: procedural, shapenet, folder or a plug-in"""
     assets_root: str | None = None
     """folder of the asset source's files"""
-    scenes_from: SceneOrigin = "drop"
+    scenes_from: str = DROP
     """drop: objects fall on the floor; graspnet: objects and their poses are those of the scenes
-    of GraspNet-1Billion"""
+    of GraspNet-1Billion; or, with --twins, a folder of labelled scenes: toolkit scenes, BOP or
+    GraspNet-1Billion"""
     object_poses: ObjectPoses = "mixed"
     """any: objects fall in any pose, as in DREDS; upright: they stand, if their shape lets them;
     mixed: in half of the scenes they stand"""
@@ -114,7 +118,7 @@ class SimulationOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             raise ToolkitError(
                 "must not exceed max_objects", field="min_objects", value=self.min_objects
             )
-        if (self.scenes_from == "graspnet") != (self.graspnet_root is not None):
+        if (self.scenes_from == GRASPNET) != (self.graspnet_root is not None):
             raise ToolkitError(
                 "scenes of GraspNet-1Billion and the folder of that data set go together",
                 field="graspnet_root",
@@ -188,7 +192,33 @@ class RunCommand(SceneOptions):
     """dreds: DREDS-CatKnown; novel: DREDS-CatNovel; scene: toolkit scenes; several are possible"""
     cache: Path | None = field(default=None, metadata={"writes": Writes("parts")})
     """folder that keeps convex parts (~/.cache/std-toolkit)"""
+    twins: tuple[TwinName, ...] = ()
+    """render the labelled scenes of --scenes-from again with their own cameras and poses, once for
+    each material; --views is then the most frames of a scene"""
     jobs: JobOptions = field(default_factory=JobOptions)
+
+    def __post_init__(self) -> None:
+        source = self.options.scenes_from
+        named = source in (DROP, GRASPNET)
+        if self.twins and named:
+            raise ToolkitError(
+                "twins are of a folder of labelled scenes",
+                field="scenes_from",
+                value=source,
+                hint="give --scenes-from DIR: a toolkit scene, a BOP folder or GraspNet-1Billion",
+            )
+        if not self.twins and not named:
+            raise ToolkitError(
+                "a folder of labelled scenes is rendered again as twins",
+                field="scenes_from",
+                value=source,
+                hint=f"add --twins {' '.join(get_args(TwinName))}, or give drop or graspnet",
+            )
+        if self.twins and set(self.layout) - {"scene"}:
+            raise ToolkitError(
+                "twins are toolkit scenes", field="layout", value=" ".join(self.layout),
+                hint="leave --layout out",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,6 +230,15 @@ class PreviewCommand(SceneOptions):
 
     out: Path = field(metadata={"option": "out", "writes": Writes("file")})
     """picture"""
+
+    def __post_init__(self) -> None:
+        if self.options.scenes_from not in (DROP, GRASPNET):
+            raise ToolkitError(
+                "only `std-sim run --twins` renders labelled scenes again",
+                field="scenes_from",
+                value=self.options.scenes_from,
+                hint="drop or graspnet",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from sensors.materials.material_draw import (
 )
 from sensors.materials.material_library import MATERIAL_CLASSES, MaterialClass
 from sensors.render.color_image import ColorResponse, draw_response
-from sensors.simulation.options import Factor, MaterialSwitch, SimulationOptions
+from sensors.simulation.options import DROP, Factor, MaterialSwitch, SimulationOptions
 from std_toolkit.errors import ToolkitError
 
 Aspect = Literal[
@@ -258,7 +258,7 @@ def dress_scene(
         light=light,
         pattern_seed=int(generator(seed, "pattern").integers(2**31)),
         color=color,
-        setting=setting if options.scenes_from == "drop" else light_draw.SettingDraw(),
+        setting=setting if options.scenes_from == DROP else light_draw.SettingDraw(),
         spread_m=spread,
         upright=upright,
     )

@@ -110,7 +110,7 @@ def simulate_set(
     )
     refuse_links(out)
     missing = [s for s in seeds if _missing(out, s, split, layouts)]
-    _check_room(out, options, len(missing), layouts)
+    check_room(out, options, len(missing), layouts)
     cores = usable_cores()
     simulate = partial(
         _simulate_scene,
@@ -221,9 +221,14 @@ def _check(seeds: Sequence[int], split: str, layouts: Sequence[str]) -> None:
         )
 
 
-def _check_room(
+def check_room(
     out: Path, options: SimulationOptions, scenes: int, layouts: Sequence[Layout]
 ) -> None:
+    """Refuse a disk with too little room for some scenes.
+
+    Raises:
+        ToolkitError: the disk has too little room.
+    """
     per_frame = options.width * options.height * sum(BYTES_PER_PIXEL[x] for x in layouts)
     needed = per_frame * options.views * scenes + SPARE_BYTES
     free = shutil.disk_usage(out).free

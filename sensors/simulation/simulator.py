@@ -21,6 +21,7 @@ from sensors.simulation.options import SimulationOptions
 from sensors.simulation.scene_draw import draw_scene, dress_scene, generator
 from sensors.simulation.world_builder import World, build_world
 from std_toolkit.arrays import Floats
+from std_toolkit.geometry import Camera
 from std_toolkit.geometry.se3 import SE3
 
 # Materials on which a depth camera does not measure the surface.
@@ -71,6 +72,10 @@ class Simulator:
         threads: of renderer, denoiser and depth model; None uses all cores. With more than one, the
             single-threaded work (exact maps, images, alignment) is done while the next view
             renders; the frames are identical to the bit.
+        color: another colour camera than the sensor's, in its place. It may have distortion.
+
+    Attributes:
+        sensor, environments: that the options name.
 
     Raises:
         ToolkitError: an unknown sensor, source or renderer, or one that does not work here.
@@ -83,22 +88,30 @@ class Simulator:
         renderer: str = "mitsuba",
         parts_cache: Path | None = None,
         threads: int | None = None,
+        color: Camera | None = None,
     ) -> None:
         self.options = options
         self.stopwatch = Stopwatch()
-        equipment = Equipment.of(options, threads=threads)
-        self._sensor = equipment.sensor
-        self._assets, self._environments = equipment.assets, equipment.environments
+        equipment = Equipment.of(options, threads=threads, color=color)
+        self.sensor = equipment.sensor
+        self._assets, self.environments = equipment.assets, equipment.environments
         self._arrangements = equipment.arrangements
         self._threads = threads
         self._depth_model = equipment.depth_model
         self._label_camera = equipment.label_camera
+        width, height = self._label_camera.size
         self._color_camera = self._label_camera.resized(
-            options.color_factor * options.width, options.color_factor * options.height
+            options.color_factor * width, options.color_factor * height
         )
+        self._lens = color_image.Lens.of(self._color_camera)
         self._quality = sim_renderer.quality_of(options.quality)
         self._parts_cache = parts_cache
         self._renderer = sim_renderer.SIM_RENDERERS.get(renderer)(threads=threads)
+
+    @property
+    def renderer_name(self) -> str:
+        """Name of the renderer in records, its variant included."""
+        return self._renderer.name
 
     def world(self, seed: int, name: str) -> World:
         """Draw a scene and let it come to rest.
@@ -110,15 +123,13 @@ class Simulator:
             poses: Sequence[SE3] | None = None
             parameters: dict[str, Any] = {"renderer": self._renderer.name}
             if self._arrangements is None:
-                draw, assets, maps = draw_scene(
-                    seed, self.options, self._assets, self._environments
-                )
+                draw, assets, maps = draw_scene(seed, self.options, self._assets, self.environments)
             else:
                 found = self._arrangements.of_seed(seed, cache=self._parts_cache)
                 assets, poses = found.assets, found.poses
                 parameters["graspnet_scene"] = found.scene
                 draw, maps = dress_scene(
-                    seed, self.options, assets, self._environments, dressed_as=DRESSED_AS
+                    seed, self.options, assets, self.environments, dressed_as=DRESSED_AS
                 )
             return build_world(
                 name,
@@ -126,8 +137,8 @@ class Simulator:
                 assets,
                 maps,
                 self.options,
-                sensor=self._sensor.name,
-                baseline_m=self._sensor.baseline_m or None,
+                sensor=self.sensor.name,
+                baseline_m=self.sensor.baseline_m or None,
                 poses=poses,
                 parts_cache=self._parts_cache,
                 parameters=parameters,
@@ -170,7 +181,7 @@ class Simulator:
         light, look = world.draw.light[index], world.looks[index]
         with self.stopwatch.part("load"):
             loaded.change(look.environment, look.rotation_rad, look.floor)
-        T_world_ir = T_world_cam @ self._sensor.pose_of_color.inverse()
+        T_world_ir = T_world_cam @ self.sensor.pose_of_color.inverse()
         infrared = None
         if self.options.depth != "exact":
             with self.stopwatch.part("infrared"):
@@ -187,7 +198,7 @@ class Simulator:
                 )
         with self.stopwatch.part("colour"):
             color = loaded.color(
-                self._color_camera,
+                self._lens.rendered,
                 T_world_cam,
                 ambient=light.color_strength,
                 options=self._quality.color,
@@ -209,6 +220,7 @@ class Simulator:
         with part("denoise"):
             fast = self._quality.color.fast_denoiser
             clean = color_image.denoise(view.color, threads=self._threads, fast=fast)
+            clean = self._lens.bent(clean)
         with part("images"):
             responses = world.draw.color
             color, _ = color_image.develop(
@@ -229,7 +241,7 @@ class Simulator:
                     reading.depth,
                     camera,
                     self._label_camera,
-                    self._sensor.pose_of_color.inverse(),
+                    self.sensor.pose_of_color.inverse(),
                 )
         return SimulatedFrame(
             index=view.index,

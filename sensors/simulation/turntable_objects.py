@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sensors.materials.material_draw import DrawnMaterial, DrawnTexture, Glass, draw_material
+from sensors.materials.material_draw import DrawnMaterial, plain_look
 from sensors.render.sim_scene import SceneObject, SurfaceMesh
 from sensors.simulation.options import TurntableOptions
 from sensors.simulation.world_builder import palette_surface
@@ -42,29 +42,9 @@ def standing_pose(mesh: Any, options: TurntableOptions) -> SE3:
 
 def turntable_material(options: TurntableOptions) -> DrawnMaterial:
     """The material that the options ask for."""
-    rng = np.random.default_rng([options.seed, 9])
-    if options.material == "glass":
-        return DrawnMaterial(
-            name="glass_clear",
-            material_class="transparent",
-            color=(0.97, 0.985, 0.98),
-            own_share=0.0,
-            glass=Glass(ior=1.5, roughness=0.0, transmission=0.95, bend=1.0),
-        )
-    if options.material == "steel":
-        return draw_material(rng, "specular", name="steel_polished")
-    if options.material == "sprayed":
-        # Titanium dioxide: bright, rough, with a slight grain.
-        return DrawnMaterial(
-            name="sprayed",
-            material_class="diffuse",
-            color=(0.72, 0.72, 0.71),
-            own_share=0.0,
-            roughness=0.95,
-            specular=0.1,
-            texture=DrawnTexture(kind="grain", tile_m=0.05, contrast=0.06, seed=options.seed),
-        )
-    return _own_look(roughness=0.6, specular=0.25)
+    if options.material == "own":
+        return _own_look(roughness=0.6, specular=0.25)
+    return plain_look("matt" if options.material == "sprayed" else options.material, options.seed)
 
 
 def _own_look(*, roughness: float, specular: float) -> DrawnMaterial:

@@ -148,12 +148,8 @@ def build_world(
         },
     )
     liquids = [_liquid(*row) for row in rows]
-    ground, around = _surroundings(draw)
-    floors = {id(floor): _floor(floor, ground) for floor in draw.floors}
-    looks = tuple(
-        Look(m, light.rotation_rad, floors[id(floor)])
-        for m, light, floor in zip(maps, draw.light, draw.floors, strict=True)
-    )
+    _, around = _surroundings(draw)
+    looks = looks_of(draw, maps)
     scene = SimScene(
         (looks[0].floor, *around, *(_object(*row) for row in rows)),
         looks[0].environment,
@@ -162,6 +158,24 @@ def build_world(
     )
     poses_of_views = tuple(camera_poses(draw.seed, options, draw.setting))
     return World(draw, record, scene, poses_of_views, looks)
+
+
+def looks_of(draw: SceneDraw, maps: Sequence[EnvironmentMap]) -> tuple[Look, ...]:
+    """Light and floor of every view.
+
+    Args:
+        draw: contents of the scene.
+        maps: environment map of each view.
+
+    Raises:
+        ToolkitError: a floor image cannot be read.
+    """
+    ground, _ = _surroundings(draw)
+    floors = {id(floor): _floor(floor, ground) for floor in draw.floors}
+    return tuple(
+        Look(m, light.rotation_rad, floors[id(floor)])
+        for m, light, floor in zip(maps, draw.light, draw.floors, strict=True)
+    )
 
 
 def camera_poses(

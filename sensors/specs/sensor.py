@@ -202,6 +202,10 @@ class SensorSpec(document.Document, frozen=True, kw_only=True):
         """Both infrared cameras, and the depth image, at this size; see `camera_of_size`."""
         return camera_of_size(self.infrared, width, height, f"{self.name}: infrared")
 
+    def has_proportions(self, width: int, height: int) -> bool:
+        """Whether infrared images have the aspect ratio of width x height."""
+        return bool(_of_aspect(self.infrared, width, height))
+
     def color_camera(self, width: int, height: int) -> Camera:
         """The colour camera at this size; see `camera_of_size`."""
         return camera_of_size(self.color, width, height, f"{self.name}: color")

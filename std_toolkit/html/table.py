@@ -6,7 +6,7 @@ the text of a cell and never replace it.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 MINUS = "\u2212"
@@ -165,6 +165,46 @@ class Table:
         published = [row for row in self.rows if row.kind == "published"]
         measured = [row for row in self.rows if row.kind != "published"]
         return [group for group in (measured, published) if group]
+
+    def without(self, heading: str) -> "Table":
+        """The table without the column of this heading, if it has one."""
+        kept = [i for i, column in enumerate(self.columns) if column.heading != heading]
+        return self._part(self.rows, kept)
+
+    @property
+    def figure_names(self) -> list[str]:
+        """Names by which `chosen` knows the columns of figures: their names, else headings."""
+        return [c.name or c.heading for c in self.columns if c.numeric]
+
+    @property
+    def row_names(self) -> list[str]:
+        """Texts by which `chosen` knows rows: those of cells that are no figures."""
+        texts = [i for i, column in enumerate(self.columns) if not column.numeric]
+        return [row.cells[i].text for row in self.rows for i in texts]
+
+    def chosen(self, rows: Sequence[str], columns: Sequence[str]) -> "Table | None":
+        """The table of some rows and columns; None if nothing of it is left.
+
+        Args:
+            rows: see `row_names`; empty for all.
+            columns: see `figure_names`; empty for all. Columns of text stay.
+        """
+        texts = [i for i, column in enumerate(self.columns) if not column.numeric]
+        found = [
+            row for row in self.rows if not rows or {row.cells[i].text for i in texts} & {*rows}
+        ]
+        by_name = {c.name or c.heading: i for i, c in enumerate(self.columns) if c.numeric}
+        wanted = [by_name[name] for name in columns if name in by_name]
+        if not found or (columns and not wanted):
+            return None
+        kept = wanted or list(by_name.values())
+        first = [i for i in texts if i < min(kept, default=0)] or texts[:1]
+        last = [i for i in texts if i not in first]
+        return self._part(found, [*first, *kept, *last])
+
+    def _part(self, rows: Sequence[Row], columns: Sequence[int]) -> "Table":
+        made = [replace(row, cells=[row.cells[i] for i in columns]) for row in rows]
+        return replace(self, columns=[self.columns[i] for i in columns], rows=made)
 
     def terminal(self, *, notes: bool = True) -> str:
         """Aligned text, with or without the notes of cells; published rows start with a star."""

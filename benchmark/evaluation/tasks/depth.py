@@ -46,7 +46,7 @@ from benchmark.methods.depth.filling.filler import Filler, Raw
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restored, Restorer
 from benchmark.methods.registry import make_restorer, restorers
-from benchmark.methods.training_data import training_data
+from benchmark.methods.training_data import training_data, training_seed
 from benchmark.metrics.protocols.alignment import Line
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.metrics.protocols.score import score_frame
@@ -174,6 +174,7 @@ class Run(FrameRun[Restorer]):
             root=str(self.root),
             weights=str(self.options.weights or ""),
             training_data=training_data(self.method, methods, self.options),
+            training_seed=training_seed(self.method, methods, self.options),
             **circumstances(),
         )
 
@@ -287,9 +288,9 @@ class Run(FrameRun[Restorer]):
 
             write_speed(self, self.protocol)
         if self.gallery and not get_protocol(self.protocol).align:
-            from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, make_gallery
+            from benchmark.evaluation.tasks.depth_pictures import make_gallery, shows
 
-            if not (self.folder / FOLDER / INDEX_FILE).exists():
+            if not shows(self.folder, self.gallery_frames):
                 make_gallery(self, self.protocol)
 
     def read(self) -> depth_results.RunResult:

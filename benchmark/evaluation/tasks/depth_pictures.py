@@ -1,6 +1,9 @@
 """Pictures of a few frames of a run: best, median and worst frame of the method, and three frames
 that are the same for all methods."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pandas as pd
@@ -12,7 +15,7 @@ from benchmark.evaluation.results import ERROR, INDEX, TABLE, read_table
 from benchmark.methods.depth.full_size import restorer_view
 from benchmark.methods.protocol import Restorer
 from benchmark.metrics.protocols.protocol import get_protocol
-from std_toolkit.io.documents import write_document
+from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.images import write_color
 
 FOLDER = "gallery"
@@ -62,8 +65,10 @@ def make_gallery(run: FrameRun[Restorer], protocol_name: str) -> Gallery:
     protocol = get_protocol(protocol_name)
     table = read_table(run.folder / TABLE)
     source, restorer = run.open(), run.make(run.devices[0])
-    common = run.chosen(source)
-    common = [common[i] for i in chosen_frames(len(common), COMMON)]
+    common = run.pictured(source)
+    if not common:
+        common = run.chosen(source)
+        common = [common[i] for i in chosen_frames(len(common), COMMON)]
     frames = gallery_frames(table, protocol.main, common)
     pictures = []
     for rank, index, rmse in frames:
@@ -88,6 +93,23 @@ def make_gallery(run: FrameRun[Restorer], protocol_name: str) -> Gallery:
     gallery = Gallery(pictures=pictures)
     write_document(run.folder / FOLDER / INDEX_FILE, gallery)  # last: marks the gallery complete
     return gallery
+
+
+def shows(folder: Path, wanted: Sequence[str]) -> bool:
+    """Whether the gallery of a run is there, and has pictures of the wanted frames.
+
+    Args:
+        folder: of the run.
+        wanted: SCENE/FRAME of the common frames; empty for any.
+
+    Raises:
+        ToolkitError: its index is damaged.
+    """
+    path = folder / FOLDER / INDEX_FILE
+    if not path.exists() or not wanted:
+        return path.exists()
+    pictures = read_document(path, Gallery).pictures
+    return {f"{p.scene}/{p.frame}" for p in pictures if p.rank == "common"} == set(wanted)
 
 
 def gallery_frames(

@@ -25,7 +25,7 @@ from benchmark.evaluation.tasks.grasp_pictures import attempt_strip
 from benchmark.evaluation.tasks.grasp_table import ATTEMPTS, rows_of_round, scene_name
 from benchmark.evaluation.values import checked_label, plain_label
 from benchmark.methods.registry import MethodOptions, grasp_planners, weights_digest
-from benchmark.methods.training_data import training_data
+from benchmark.methods.training_data import training_data, training_seed
 from benchmark.metrics.grasp.gripper import PANDA, Gripper
 from benchmark.metrics.grasp.suction import SuctionCup
 from benchmark.tabletop import depth_model, round, sense
@@ -190,6 +190,8 @@ class GraspRun(TaskRun[None, Methods]):
             depth_weights=str(depth.weights or ""),
             planner_training_data=training_data(self.planner, methods.planner, planner),
             depth_training_data=methods.depths.training_data,
+            planner_training_seed=training_seed(self.planner, methods.planner, planner),
+            depth_training_seed=methods.depths.training_seed,
             **circumstances(),
         )
 

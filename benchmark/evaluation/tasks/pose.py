@@ -38,7 +38,7 @@ from benchmark.evaluation.values import check_folders, checked_label, folders_by
 from benchmark.methods.depth.full_size import view_of
 from benchmark.methods.protocol import Estimated, PoseAnswer, PoseEstimator, PoseView
 from benchmark.methods.registry import MethodOptions, make_pose_method, pose_methods
-from benchmark.methods.training_data import training_data
+from benchmark.methods.training_data import training_data, training_seed
 from benchmark.metrics.pose import PoseProtocol
 from std_toolkit.errors import ToolkitError
 
@@ -197,6 +197,8 @@ class PoseRun(FrameRun[Methods]):
             weights=str(self.options.weights or ""),
             depth_weights=str(self.depth.options.weights or ""),
             training_data=training_data(self.method, method, self.options),
+            training_seed=training_seed(self.method, method, self.options),
+            depth_training_seed=depths.training_seed,
             depth_training_data=depths.training_data,
             **circumstances(),
         )
@@ -256,7 +258,8 @@ class PoseRun(FrameRun[Methods]):
 
         there = self.folder / pictures.POSE_GALLERY / pictures.PICTURES_FILE
         if self.gallery and not there.exists():
-            pictures.make_pose_pictures(self.folder, self.open())
+            data = self.open()
+            pictures.make_pose_pictures(self.folder, data, self.pictured(data))
 
     def read(self) -> pose_results.PoseResult:
         return pose_results.read_pose_run(self.folder)

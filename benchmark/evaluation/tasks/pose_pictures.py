@@ -127,15 +127,24 @@ class PosePictures(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     pictures: list[PosePicture]
 
 
-def make_pose_pictures(folder: Path, source: DepthSource) -> PosePictures:
+def make_pose_pictures(
+    folder: Path, source: DepthSource, wanted: Sequence[int] = ()
+) -> PosePictures:
     """Draw frames of the finished run in a folder.
+
+    Args:
+        folder: of the run.
+        source: its data.
+        wanted: indices of the frames; empty for a few, evenly spaced.
 
     Raises:
         ToolkitError: a frame cannot be read, or a picture cannot be written.
     """
     table = read_table(folder / POSES)
     readable = sorted(set(table.loc[table[READ], INDEX].tolist()))
-    shown = [readable[i] for i in chosen_frames(len(readable), SHOWN)]
+    shown = [i for i in wanted if i in readable]
+    if not wanted:
+        shown = [readable[i] for i in chosen_frames(len(readable), SHOWN)]
     frames = frames_of(table[table[INDEX].isin(shown)])
     pictures = []
     for place, index in enumerate(frames.indices.tolist()):

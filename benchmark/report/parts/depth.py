@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import pandas as pd
+
 from benchmark.evaluation.depth_panels import PANELS, TRUST_PANEL
 from benchmark.evaluation.results import counted
 from benchmark.evaluation.tasks.depth_pictures import FOLDER, INDEX_FILE, Gallery
@@ -10,45 +12,79 @@ from benchmark.evaluation.tasks.depth_results import RunResult, read_results
 from benchmark.report import leaderboard
 from benchmark.report.page import (
     MOST_PICTURED,
+    Layout,
     ReportPart,
     left_out,
     table_files,
     terminal_text,
 )
-from benchmark.report.parts import depth_plots, depth_tables
+from benchmark.report.parts import comparisons, depth_comparisons, depth_plots, depth_tables
 from benchmark.report.parts.published import TASKS, other_protocols
+from std_toolkit.errors import ToolkitError
 from std_toolkit.html import page
 from std_toolkit.html.page import Gallery as Pictures
 from std_toolkit.io.documents import read_document
 
 CSV, MARKDOWN, LATEX = "leaderboard.csv", "leaderboard.md", "leaderboard.tex"
+SEEDS = "leaderboard_seeds.csv"
 _RANKS = {"best": "best frame", "median": "median frame", "worst": "worst frame"}
 
 
-def depth_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
+def depth_part(
+    folders: Sequence[Path], *, published: bool = True, layout: Layout | None = None
+) -> ReportPart:
     """See `ReportTask`.
 
     Raises:
-        ToolkitError: a run is damaged, or no frame could be scored.
+        ToolkitError: a run is damaged, no frame could be scored, or no run has a picture of a
+            frame of the layout.
     """
+    layout = layout or Layout()
     board = leaderboard.make_board(read_results(folders), published=published)
-    tables = [
+    paper = depth_comparisons.paper_tables(board) if layout.paper else []
+    boards = [
         table
         for where in board.boards
         for make in (depth_tables.board_tables, depth_tables.seen_tables)
         for table in make(board, *where)
     ]
+    seeds = depth_comparisons.over_seeds(board)
+    tables = [
+        *(paper or boards),
+        *(
+            t
+            for rows, columns, title in seeds
+            for t in comparisons.seed_table(rows, columns, title)
+        ),
+    ]
+    files = table_files((CSV, MARKDOWN, LATEX), tables, board.rows)
+    if seeds:
+        told = pd.concat([rows.assign(of=title) for rows, _, title in seeds], ignore_index=True)
+        files[SEEDS] = told.to_csv(index=False, lineterminator="\n")
+    first = [page.Section("paper", "As papers print it", paper)] if paper else []
     return ReportPart(
         title="Depth restoration",
         summary=_summary(board),
-        sections=[*board_sections(board), *(_published(board) if published else ())],
+        sections=[
+            *first,
+            *board_sections(board, layout),
+            *(_published(board) if published else ()),
+        ],
         terminal=terminal_text(tables),
-        files=table_files((CSV, MARKDOWN, LATEX), tables, board.rows),
+        files=files,
+        latex=LATEX,
+        tables=tables,
     )
 
 
-def board_sections(board: leaderboard.Board) -> list[page.Section]:
-    """Return the sections of a leaderboard."""
+def board_sections(board: leaderboard.Board, layout: Layout | None = None) -> list[page.Section]:
+    """Return the sections of a leaderboard.
+
+    Raises:
+        ToolkitError: no run has a picture of a frame of the layout.
+    """
+    layout = layout or Layout()
+    seeds = {title: (rows, columns) for rows, columns, title in depth_comparisons.over_seeds(board)}
     colors = depth_plots.method_colors(board)
     found = []
     for i, (split, protocol) in enumerate(board.boards):
@@ -58,11 +94,17 @@ def board_sections(board: leaderboard.Board) -> list[page.Section]:
         )
     for i, (split, protocol) in enumerate(board.boards):
         title = f"In detail: {depth_tables.board_title(board, split, protocol)}"
-        found.append(page.Section(f"detail-{i}", title, _breakdown(board, split, protocol, colors)))
+        blocks = [
+            *depth_comparisons.pair_tables(board, split, protocol, layout.paired),
+            *_breakdown(board, split, protocol, colors),
+        ]
+        found.append(page.Section(f"detail-{i}", title, blocks))
+    over = [t for title, of in seeds.items() for t in comparisons.seed_table(*of, title)]
     return [
         *found,
+        page.Section("seeds", "Over training seeds", over),
         page.Section("speed", "Speed", _speed(board, colors)),
-        page.Section("gallery", "Gallery", gallery(_best_first(board))),
+        page.Section("gallery", "Gallery", gallery(_best_first(board), layout.gallery)),
         page.Section("runs", "What ran", [depth_tables.run_table(board.results)]),
     ]
 
@@ -142,11 +184,15 @@ def _best_first(board: leaderboard.Board) -> list[RunResult]:
     return sorted(board.results, key=place_of)
 
 
-def gallery(results: Sequence[RunResult]) -> list[page.Block]:
+def gallery(results: Sequence[RunResult], wanted: Sequence[str] = ()) -> list[page.Block]:
     """Pictures of the common frames for each method, then the best and worst frames of each.
 
     Args:
         results: runs; only the first `MOST_PICTURED` with pictures are shown.
+        wanted: SCENE/FRAME of the common frames to show, in this order; empty for all.
+
+    Raises:
+        ToolkitError: no run has a common picture of such a frame.
     """
     blocks: list[page.Block] = []
     every = [(r, pictures) for r in results if (pictures := _gallery_of(r))]
@@ -158,6 +204,21 @@ def gallery(results: Sequence[RunResult]) -> list[page.Block]:
             if p.rank == "common":
                 key = (result.place, setup.protocol, p.scene, p.frame)
                 common.setdefault(key, []).append((result, p.picture, p.rmse))
+    if wanted:
+        known = list(dict.fromkeys(f"{scene}/{frame}" for *_, scene, frame in common))
+        for name in wanted:
+            if name not in known:
+                raise ToolkitError(
+                    "no run has a picture of this frame for all methods",
+                    field="--gallery",
+                    value=name,
+                    hint=f"known: {', '.join(known) or 'none'}; `std-bench --gallery-frames` makes "
+                    "pictures of others",
+                )
+        at = {
+            key: wanted.index(f"{key[2]}/{key[3]}") for key in common if "/".join(key[2:]) in wanted
+        }
+        common = {key: common[key] for key in sorted(at, key=lambda k: at[k])}
     for (split, protocol, scene, frame), shown in common.items():
         strips = [
             _strip(result, picture, f"{result.manifest.label}: {rmse * 1e3:.1f} mm")

@@ -14,6 +14,7 @@ from benchmark.evaluation.tasks.depth_speed import CPU_CORES, CPU_S, STANDARD
 from benchmark.metrics.depth.figures import shown_columns
 from benchmark.metrics.protocols.protocol import get_protocol
 from benchmark.report import leaderboard
+from benchmark.report.page import NOTES
 from benchmark.report.parts.published import address_note
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 
@@ -253,7 +254,7 @@ def _method_table(
         tested = counts and competes and can_differ(row["scenes"], methods)
         alike = tested and row["p_best"] >= leaderboard.SIGNIFICANT
         note = f"published; {source_of(row)}" if published else "≈" if alike else ""
-        cells = [Cell(text=row["method"], note=note), *([class_cell(row)] if in_classes else [])]
+        cells = [Cell(text=row["method"]), *([class_cell(row)] if in_classes else [])]
         cells += [frames_cell(row), _COUNTS[1].cell(row["scenes"])] if counts else []
         for column in columns:
             value = row[column.name]
@@ -270,10 +271,13 @@ def _method_table(
                 )
             )
         cells += [Cell(text=str(row["hardware"]))] if hardware else []
+        cells += [Cell(text=note)]
         made.append(Row(cells, "published" if published else ""))
     heads = [_METHOD, *([_CLASS] if in_classes else []), *(_COUNTS if counts else ()), *columns]
     heads += [Column(heading="on", numeric=False)] if hardware else []
-    return Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
+    heads += [Column(heading=NOTES, numeric=False)]
+    table = Table(columns=heads, rows=made, title=title, notes=notes, sortable=True)
+    return table if any(row.cells[-1].text for row in made) else table.without(NOTES)
 
 
 def frames_cell(row: dict[str, object]) -> Cell:

@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -13,6 +15,13 @@ from benchmark.evaluation.tasks.grasp import STRIPS
 from benchmark.evaluation.tasks.grasp_inputs import ORACLE
 from benchmark.evaluation.tasks.grasp_table import ATTEMPT, KIND, scene_name
 from benchmark.report.page import MOST_PICTURED, ReportPart, left_out, table_files
+from benchmark.report.parts.comparisons import (
+    MOST_COMPARED,
+    pair_table,
+    seed_groups,
+    seed_rows,
+    seed_table,
+)
 from benchmark.report.parts.depth_tables import machine
 from benchmark.report.parts.published import TASKS, published_tables
 from std_toolkit.html import page
@@ -56,7 +65,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
     rounds = max(r.rates.rounds for r in results)
     planners = ", ".join(dict.fromkeys(r.manifest.planner_label for r in results))
     depths = ", ".join(dict.fromkeys(r.manifest.depth_label for r in results))
-    tables = _clearing_tables(results)
+    tables = [*_clearing_tables(results), *_seed_tables(results)]
     printed = published_tables(TASKS["grasp"]) if published else []
     return ReportPart(
         title="Grasping: table clearing",
@@ -64,6 +73,7 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
         f"planners: {planners}; depth: {depths}",
         sections=[
             page.Section("clearing", "Table clearing", [page.Paragraph(_DEFINITIONS), *tables]),
+            page.Section("clearing-pairs", "All pairs", _pair_tables(results)),
             page.Section("clearing-plans", "Planned grasps", [_plan_table(results)]),
             page.Section("clearing-causes", "How attempts ended", [_cause_table(results)]),
             page.Section("clearing-strips", "Attempts in pictures", _pictures(results)),
@@ -73,6 +83,8 @@ def grasp_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart
         answer=_answer(results),
         terminal=grasp_results.grasp_table(results),
         files=table_files((CSV, MARKDOWN, LATEX), tables, board_of(results)),
+        latex=LATEX,
+        tables=tables,
     )
 
 
@@ -108,6 +120,47 @@ def _clearing_tables(results: Sequence[grasp_results.GraspResult]) -> list[Table
         title = f"Table clearing, {camera} camera, seed {seed}: {rounds} tables"
         columns = _columns(grasp_results.HEADINGS)
         tables.append(Table(columns=columns, rows=rows, title=title))
+    return tables
+
+
+_COMPLETION = Column(heading="completion per table", unit="%", name="completion_tables", factor=100)
+_SEEDED = (
+    Column(heading="success of attempts", unit="%", name="success_attempts", factor=100),
+    Column(heading="completion of objects", unit="%", name="completion_objects", factor=100),
+    _COMPLETION,
+)
+
+
+def _seed_tables(results: Sequence[grasp_results.GraspResult]) -> list[Table]:
+    """Means over training seeds, of each camera and seed of the tables."""
+    tables = []
+    for camera, seed in dict.fromkeys(r.name[:2] for r in results):
+        groups = seed_groups([r for r in results if r.name[:2] == (camera, seed)])
+        rows = seed_rows(groups, _seeded, [c.name for c in _SEEDED])
+        title = f"Table clearing, {camera} camera, seed {seed}, over training seeds"
+        tables += seed_table(rows, _SEEDED, title)
+    return tables
+
+
+def _seeded(result: Any) -> dict[str, float]:
+    return {c.name: getattr(result.rates, c.name).value for c in _SEEDED}
+
+
+def _pair_tables(results: Sequence[grasp_results.GraspResult]) -> list[Table]:
+    """p of all pairs of planner and depth on the same tables, by the completion of a table."""
+    tables = []
+    for camera, seed in dict.fromkeys(r.name[:2] for r in results):
+        mine = [r for r in results if r.name[:2] == (camera, seed)]
+        mine.sort(key=lambda r: -r.rates.completion_tables.value)
+        mine = mine[:MOST_COMPARED]
+        gains = [grasp_results.completion_gain(a.table, b.table) for a, b in combinations(mine, 2)]
+        tables += pair_table(
+            [f"{r.name[2]}, {r.name[3]}" for r in mine],
+            [(g.rate.value, g.p) if g.rate.total else None for g in gains],
+            _COMPLETION,
+            title=f"All pairs, {camera} camera, seed {seed}",
+            test="Sign-flip test over the tables that both cleared.",
+        )
     return tables
 
 

@@ -14,7 +14,7 @@ from benchmark.evaluation.tasks.bop_results import BopFigures, BopObject
 from benchmark.metrics.significance import holm
 from benchmark.published.load import published_bop
 from benchmark.report.leaderboard import SIGNIFICANT
-from benchmark.report.page import ReportPart, table_files, terminal_text
+from benchmark.report.page import Layout, ReportPart, table_files, terminal_text
 from benchmark.report.parts import depth_tables, pose_board, pose_sections
 from benchmark.report.parts.published import TASKS, address_note, other_protocols
 from std_toolkit.html.page import Block, Bullets, Paragraph, Section
@@ -167,8 +167,10 @@ def _is_true(compared: pose_board.Compared) -> bool:
     return compared.scored.result.manifest.setup.depth == depth_choice.TRUE
 
 
-def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
-    """Category-level poses; see `ReportTask`.
+def pose_part(
+    folders: Sequence[Path], *, published: bool = True, layout: Layout | None = None
+) -> ReportPart:
+    """Category-level poses; see `ReportTask`. Its pairs are always compared over scenes.
 
     Raises:
         ToolkitError: a run is damaged, or no frame has a true object.
@@ -176,13 +178,17 @@ def pose_part(folders: Sequence[Path], *, published: bool = True) -> ReportPart:
     board = pose_board.make_pose_board(pose_results.read_pose_results(folders), published=published)
     places = [(split, protocol) for split in board.splits for protocol in pose_board.PROTOCOLS]
     tables = [table for place in places for table in pose_sections.pose_tables(board, *place)]
+    tables += pose_sections.seed_tables(board)
+    wanted = (layout or Layout()).gallery
     return ReportPart(
         title="Category-level pose",
         summary=_summary(board),
-        sections=[*_sections(board), *(_published(board) if published else ())],
+        sections=[*_sections(board, wanted), *(_published(board) if published else ())],
         answer=answer(board),
         terminal=terminal_text(tables),
         files=table_files((CSV, MARKDOWN, LATEX), tables, board.rows),
+        latex=LATEX,
+        tables=tables,
     )
 
 
@@ -212,7 +218,7 @@ def _published(board: pose_board.PoseBoard) -> list[Section]:
     return [Section("pose-published", title, blocks)]
 
 
-def _sections(board: pose_board.PoseBoard) -> list[Section]:
+def _sections(board: pose_board.PoseBoard, wanted: Sequence[str] = ()) -> list[Section]:
     found = []
     for i, split in enumerate(board.splits):
         for protocol in pose_board.PROTOCOLS:
@@ -226,12 +232,15 @@ def _sections(board: pose_board.PoseBoard) -> list[Section]:
         title = (
             f"Poses in detail: {pose_sections.pose_title(board, split, pose_board.PROTOCOLS[0])}"
         )
-        found.append(
-            Section(f"pose-detail-{i}", title, pose_sections.breakdown_tables(board, split))
-        )
+        details = [
+            *pose_sections.pair_tables(board, split),
+            *pose_sections.breakdown_tables(board, split),
+        ]
+        found.append(Section(f"pose-detail-{i}", title, details))
     return [
         *found,
-        Section("pose-gallery", "Boxes", pose_sections.pose_gallery(board)),
+        Section("pose-seeds", "Poses over training seeds", pose_sections.seed_tables(board)),
+        Section("pose-gallery", "Boxes", pose_sections.pose_gallery(board, wanted)),
         Section("pose-runs", "What ran: poses", [pose_sections.run_table(board.results)]),
     ]
 

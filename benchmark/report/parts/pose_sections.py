@@ -2,24 +2,36 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
+from itertools import combinations
 from typing import Any
 
 import pandas as pd
 
 from benchmark.evaluation import depth_choice
-from benchmark.evaluation.results import FAILED
+from benchmark.evaluation.results import FAILED, Result
 from benchmark.evaluation.tasks import pose_pictures, pose_results
 from benchmark.report.leaderboard import MEASURED, PUBLISHED, is_ranked
-from benchmark.report.page import MOST_PICTURED, left_out
-from benchmark.report.parts import depth_tables
-from benchmark.report.parts.pose_board import DETAILS, FIGURES, MAIN, PROTOCOLS, TABLES, PoseBoard
+from benchmark.report.page import MOST_PICTURED, NOTES, left_out
+from benchmark.report.parts import comparisons, depth_tables
+from benchmark.report.parts.pose_board import (
+    DETAILS,
+    FIGURES,
+    MAIN,
+    PROTOCOLS,
+    TABLES,
+    PoseBoard,
+    compare_runs,
+)
 from benchmark.report.parts.published import address_note
+from std_toolkit.errors import ToolkitError
 from std_toolkit.html import page
 from std_toolkit.html.plots import CAMERA, FAINT, OBJECT_COLORS, error_bars, figure
 from std_toolkit.html.table import NONE, Cell, Column, Row, Table
 from std_toolkit.io.documents import read_document
 
 _RAW_COLOR, _TRUE_COLOR = FAINT, "#2b7a4b"
+_MOST_COMPARED = 8  # runs in a table of all pairs: each pair is scored for every swap
 _ABREAST = 4  # pictures in a row
 _RUN = [Column(heading=h, numeric=False) for h in ("method", "depth", "fit")]
 _COUNTS = [Column(heading=h, digits=0) for h in ("objects", "frames", "scenes")]
@@ -49,16 +61,17 @@ def pose_tables(board: PoseBoard, split: str, protocol: str) -> list[Table]:
         best = rows[contests][[c.name for c in FIGURES]].max()
         pairs = zip(rows.to_dict("records"), contests, strict=True)
         made = [_row(row, best, contends=contends) for row, contends in pairs]
-        columns = [*_RUN, *_COUNTS, *FIGURES]
-        tables.append(Table(columns=columns, rows=made, title=title, notes=notes, sortable=True))
+        columns = [*_RUN, *_COUNTS, *FIGURES, Column(heading=NOTES, numeric=False)]
+        table = Table(columns=columns, rows=made, title=title, notes=notes, sortable=True)
+        told = any(row.cells[-1].text for row in made)
+        tables.append(table if told else table.without(NOTES))
     return tables
 
 
 def _row(row: dict[str, Any], best: pd.Series, *, contends: bool) -> Row:
     published = row["kind"] == PUBLISHED
     note = f"published; {depth_tables.source_of(row)}" if published else ""
-    cells = [Cell(text=str(row["method"]), note=note)]
-    cells += [Cell(text=str(row[name])) for name in ("depth", "fit")]
+    cells = [Cell(text=str(row[name])) for name in ("method", "depth", "fit")]
     objects, scenes = (c.cell(row[c.heading]) for c in (_COUNTS[0], _COUNTS[2]))
     cells += [objects, depth_tables.frames_cell(row), scenes]
     nowhere = not published and row["failed"] == row["frames"]
@@ -75,7 +88,57 @@ def _row(row: dict[str, Any], best: pd.Series, *, contends: bool) -> Row:
                 missing=FAILED if nowhere and column is FIGURES[0] else "",
             )
         )
+    cells.append(Cell(text=note))
     return Row(cells, "published" if published else "" if contends else "bound")
+
+
+def seed_tables(board: PoseBoard) -> list[Table]:
+    """Return the tables over training seeds, of each split, protocol and set of objects."""
+    tables = []
+    for split in board.splits:
+        groups = comparisons.seed_groups([r for r in board.results if r.split == split])
+        for protocol in PROTOCOLS:
+            for subset in TABLES:
+                part = board.part(split, protocol, subset)
+                of = part[is_ranked(part)].set_index(["method", "depth", "fit"]).to_dict("index")
+                named = partial(_figures, dict(of))
+                rows = comparisons.seed_rows(groups, named, [c.name for c in FIGURES])
+                title = (
+                    f"{pose_title(board, split, protocol)}, {depth_tables.OBJECTS[subset]}, "
+                    "poses right over training seeds"
+                )
+                tables += comparisons.seed_table(rows, FIGURES, title)
+    return tables
+
+
+def _figures(of: dict[Any, dict[Any, Any]], result: Result[Any]) -> dict[Any, Any] | None:
+    assert isinstance(result, pose_results.PoseResult)
+    return of.get(result.name)
+
+
+def pair_tables(board: PoseBoard, split: str) -> list[Table]:
+    """Return the table of p of all pairs of the best runs that compete, by the main figure."""
+    part = board.part(split, PROTOCOLS[0], pose_results.ALL)
+    ranked = part[board.contests(part)].sort_values(MAIN, ascending=False, kind="stable")
+    names = list(ranked[["method", "depth", "fit"]].itertuples(index=False, name=None))
+    scored = {s.result.name: s for s in board.details[split] if s.subset == pose_results.ALL}
+    names = [n for n in names if n in scored][:_MOST_COMPARED]
+    found: list[tuple[float, float] | None] = []
+    for first, second in combinations(names, 2):
+        try:
+            difference = compare_runs(scored[first], scored[second], samples=1).of(MAIN)
+        except ToolkitError:  # not over the same frames
+            found.append(None)
+        else:
+            found.append((difference[0], difference[3]))
+    column = next(c for c in FIGURES if c.name == MAIN)
+    return comparisons.pair_table(
+        [f"{method}, {depth}, {fit}" for method, depth, fit in names],
+        found,
+        column,
+        title=f"All pairs, {pose_title(board, split, PROTOCOLS[0])}",
+        test="How often swapping the two at random in each scene differs as much.",
+    )
 
 
 def bar_blocks(board: PoseBoard, split: str, protocol: str) -> list[page.Block]:
@@ -135,8 +198,13 @@ def _matrix(figures: dict[pose_results.RunName, dict[str, float]], title: str) -
     return Table(columns=[*_RUN, *columns], rows=rows, title=title, notes=notes)
 
 
-def pose_gallery(board: PoseBoard) -> list[page.Block]:
-    """Return pictures of the same frames for all depths of a method, side by side."""
+def pose_gallery(board: PoseBoard, wanted: Sequence[str] = ()) -> list[page.Block]:
+    """Return pictures of the same frames for all depths of a method, side by side.
+
+    Args:
+        board: of the runs.
+        wanted: SCENE/FRAME of the frames to show, if runs have pictures of any; empty for all.
+    """
     groups: dict[
         tuple[str, str, str], list[tuple[pose_results.PoseResult, pose_pictures.PosePictures]]
     ] = {}
@@ -170,7 +238,8 @@ def pose_gallery(board: PoseBoard) -> list[page.Block]:
                 )
                 frames.setdefault(f"{p.scene}/{p.frame}", []).append(page.Figure(picture, caption))
         inside: list[page.Block] = []
-        for name, figures in frames.items():
+        for name in [n for n in wanted if n in frames] or list(frames):
+            figures = frames[name]
             inside.append(page.Heading(name, 4))
             inside.append(page.Gallery(figures, abreast=max(2, min(len(figures), _ABREAST))))
         of = board.counted(split)
