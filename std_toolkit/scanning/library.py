@@ -167,7 +167,7 @@ def _names(options: ScanOptions, count: int) -> list[str]:
     if len(options.names) != count:
         raise ToolkitError(
             f"{len(options.names)} names for {count} objects", field="--names",
-            value=",".join(options.names),
+            value=" ".join(options.names),
             hint="run without --names to see the objects; candidates.jpg numbers them",
         )  # fmt: skip
     return list(options.names)

@@ -51,7 +51,7 @@ class ScanOptions:
     """scan every object that stands on the board, one folder in the output folder for each, with
     an overview and library.json; for std-annotate --meshes"""
     names: tuple[str, ...] = ()
-    """A,B,...: with --all, names of the objects, largest first, as the error without --pick and
+    """with --all, names of the objects, largest first, as the error without --pick and
     candidates.jpg number them (default: object_1, object_2, ...)"""
     revolve: bool = False
     """fit a surface of revolution to the outlines: for unsprayed vessels of glass or metal, without
@@ -119,7 +119,7 @@ class ScanOptions:
         if not self.all_objects:
             if self.names:
                 raise ToolkitError(
-                    "names the objects of --all", field="--names", value=",".join(self.names),
+                    "names the objects of --all", field="--names", value=" ".join(self.names),
                     hint="add --all; the name of one model is that of its folder --out",
                 )  # fmt: skip
             return
@@ -144,7 +144,7 @@ class ScanOptions:
             check_name(name, field="--names")
         if len({name.lower() for name in self.names}) < len(self.names):
             raise ToolkitError(
-                "one name is given twice", field="--names", value=",".join(self.names)
+                "one name is given twice", field="--names", value=" ".join(self.names)
             )
 
     @property

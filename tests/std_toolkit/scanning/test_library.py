@@ -120,7 +120,7 @@ def test_an_object_that_fails_does_not_stop_the_others(
 
     monkeypatch.setattr(scan_step, "measure_side", broken)
     out = tmp_path / "things"
-    words = f"{tmp_path} --all --names first,second --out {out} --voxels 40 --faces 600"
+    words = f"{tmp_path} --all --names first second --out {out} --voxels 40 --faces 600"
     more = "--texture 64 --engine serial"
     assert main([*words.split(), *more.split()]) == 1
     told = capsys.readouterr()
