@@ -16,6 +16,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
 from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
+from std_toolkit.poses.board_sheet import write_board_pdf
 from std_toolkit.scanning import library, scan_step
 from std_toolkit.scanning.clock import Clock
 from std_toolkit.scanning.library import Library, scan_all
@@ -121,7 +122,8 @@ def test_an_object_that_fails_does_not_stop_the_others(
     monkeypatch.setattr(scan_step, "measure_side", broken)
     out = tmp_path / "things"
     words = f"{tmp_path} --all --names first second --out {out} --voxels 40 --faces 600"
-    more = "--texture 64 --engine serial"
+    _, board = write_board_pdf(tmp_path / "board.pdf")
+    more = f"--texture 64 --engine serial --board {board}"
     assert main([*words.split(), *more.split()]) == 1
     told = capsys.readouterr()
     assert "error: second: the photos leave no space" in told.err
@@ -136,6 +138,7 @@ def test_an_object_that_fails_does_not_stop_the_others(
     again = scan_all(
         ScanOptions(
             photos=tmp_path, out=out, all_objects=True, names=("first", "second"), voxels=40,
+            board=board,
             faces=600, texture=64, jobs=JobOptions(engine="serial", workers=1),
         )
     )  # fmt: skip
