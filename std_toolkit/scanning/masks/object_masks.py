@@ -22,7 +22,12 @@ from std_toolkit.scanning.masks.candidates import Candidate, compare_with_table,
 from std_toolkit.scanning.masks.masks import dilated, segment_by_border
 from std_toolkit.scanning.masks.outlines import Shown, best_photos, draw_candidates
 from std_toolkit.scanning.masks.proven_masks import segment_on_table
-from std_toolkit.scanning.masks.standing import Standing, choose_candidate, find_standing
+from std_toolkit.scanning.masks.standing import (
+    Standing,
+    choose_candidate,
+    find_standing,
+    sure_candidates,
+)
 from std_toolkit.scanning.masks.table_comparison import Comparison
 from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
@@ -141,7 +146,7 @@ def object_masks(
         ToolkitError: several objects or none, masks that fit no photo, or a transparent object.
     """
     views = posed.views
-    own = _own_masks(options.masks, posed)
+    own = own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
     values = {"pick": options.pick, "box": options.box, "format": 14}
@@ -151,7 +156,7 @@ def object_masks(
         if not posed.on_table:
             done = segment_by_border(views, threads=threads)
         else:
-            done = _on_table(options, things or Things(posed, threads), threads, folder)
+            done = table_masks(options, things or Things(posed, threads), threads, folder)
         out = {f"mask{i}": np.packbits(v.shown) for i, v in enumerate(done)}
         for i, v in enumerate(done):
             if v.hidden is not None:
@@ -172,7 +177,12 @@ def object_masks(
     return [v for v in done if v.shown.any()]
 
 
-def _on_table(options: ScanOptions, things: Things, threads: int, folder: str) -> list[View]:
+def table_masks(options: ScanOptions, things: Things, threads: int, folder: str = "") -> list[View]:
+    """All views with the mask of the object on the table; arguments as of `object_masks`.
+
+    Raises:
+        ToolkitError: several objects or none, or a transparent one.
+    """
     posed = things.posed
     views = posed.views
     pick, box = _pick(options, posed), _box(options, posed)
@@ -180,6 +190,7 @@ def _on_table(options: ScanOptions, things: Things, threads: int, folder: str) -
         # One object, unless a closer look finds more.
         things.check_tags(options)
         found, compared = find_candidates(views, posed.corners, threads=threads)
+        found = sure_candidates(found, views, posed.corners, compared)
         things.standing = replace(things.standing, candidates=found)
     if things.many and pick is None and box is None:
         raise _several(options, things, folder)
@@ -215,8 +226,12 @@ def _several(options: ScanOptions, things: Things, folder: str) -> ToolkitError:
     return ToolkitError(problem, hint=hint)
 
 
-def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.bool_]]:
-    """Masks of the user by the name of the photo."""
+def own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.bool_]]:
+    """Masks of the user by the name of the photo.
+
+    Raises:
+        ToolkitError: masks that fit no photo.
+    """
     if folder is None:
         return {}
     if not folder.is_dir():

@@ -102,7 +102,7 @@ def draw_candidates(
 
 
 def candidate_picture(shown: Shown, view: View, text: str) -> NDArray[np.uint8]:
-    """Part of a photo around a candidate with its outline, and a line of text below it."""
+    """Part of a photo around a candidate with its outline, and a line of text, if any, below it."""
     h, w = shown.mask.shape
     rows, columns = np.flatnonzero(shown.mask.any(axis=1)), np.flatnonzero(shown.mask.any(axis=0))
     middle = np.array([columns[0] + columns[-1], rows[0] + rows[-1]]) / 2
@@ -125,6 +125,8 @@ def candidate_picture(shown: Shown, view: View, text: str) -> NDArray[np.uint8]:
         cv2.polylines(tile, [line], True, _COLOR, 2, cv2.LINE_AA)
     x, y = (np.array(shown.pixel) - low) / scale
     cv2.drawMarker(tile, (round(x), round(y)), _COLOR, cv2.MARKER_CROSS, 14, 2)
+    if not text:
+        return np.asarray(tile, np.uint8)
     strip = np.full((34, _WIDTH, 3), 255, np.uint8)
     size_of = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, 1)[0][0]
     cv2.putText(strip, text, (8, 23), cv2.FONT_HERSHEY_SIMPLEX,

@@ -90,12 +90,31 @@ def find_standing(
     few = [small_view(views[i], limits.longest_px) for i in spread]
     hull = coarse_hull(few, corners, cells=limits.cells, threads=threads)
     parts, number = split_hull(hull, len(few))
-    found = _told_apart(parts, number, hull.grid, _clusters(points))
-    if len(found) > 1:
-        bounds = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
-        sure = [c for c in found if _on_board(c, *bounds) and _hides(c, few, hull.compared)]
-        found = sure or found[:1]
-    return Standing(found, hull)
+    kept = sure_candidates(parts, few, corners, hull.compared)
+    # Numbers of the parts that are left: beside bare tags, a lone object is not told apart.
+    left = np.zeros(len(parts) + 1, np.int32)
+    left[[parts.index(part) + 1 for part in kept]] = np.arange(1, len(kept) + 1)
+    found = _told_apart(kept, left[number], hull.grid, _clusters(points))
+    return Standing(sure_candidates(found, few, corners, hull.compared), hull)
+
+
+def sure_candidates(
+    found: Sequence[Candidate], views: Sequence[View], corners: Array,
+    compared: Sequence[Comparison],
+) -> list[Candidate]:  # fmt: skip
+    """Those of several candidates that hide the board; the first, if none certainly does.
+
+    Args:
+        found: candidates, largest first.
+        views: photos.
+        corners: (M, 3) corners of the board, world.
+        compared: the photos against the table.
+    """
+    if len(found) < 2:
+        return list(found)
+    bounds = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    sure = [c for c in found if _on_board(c, *bounds) and _hides(c, views, compared)]
+    return sure or [found[0]]
 
 
 def _on_board(candidate: Candidate, low: Array, high: Array) -> bool:
