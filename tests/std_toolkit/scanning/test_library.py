@@ -13,7 +13,6 @@ pytest.importorskip("manifold3d")
 
 from std_toolkit.cli.scanning import main
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import Camera
 from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.poses.board_sheet import write_board_pdf
@@ -26,40 +25,7 @@ from std_toolkit.scanning.masks.standing import choose_candidate, find_standing
 from std_toolkit.scanning.options import ScanOptions
 from std_toolkit.scanning.photos.photos import Photos
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
-from std_toolkit.scanning.photos.views import View
-from tests.std_toolkit.scanning.ball import look_at
-
-CAMERA = Camera(240, 180, 225, 225, 119.5, 89.5)
-CORNERS = np.array([[0.14, 0.14, 0.0], [-0.14, -0.14, 0.0]])
-# Low and high corner of two boxes, the larger first.
-BOXES = [
-    (np.array([-0.10, -0.03, 0.0]), np.array([-0.04, 0.03, 0.08])),
-    (np.array([0.05, -0.02, 0.0]), np.array([0.09, 0.02, 0.05])),
-]
-
-
-def photos_of_boxes(count: int = 14) -> list[View]:
-    """Two dark boxes with a pattern on a bright table, from two heights."""
-    views = []
-    for n in range(count):
-        a = 2 * np.pi * n / count
-        eye = np.array([0.4 * np.cos(a), 0.4 * np.sin(a), (0.22, 0.4)[n % 2]])
-        T = look_at(eye, np.array([0, 0, 0.03]))
-        rays = CAMERA.rays() @ T.R.T
-        image = np.where(rays[..., 2:] < 0, [200.0, 195, 190], 40.0)
-        nearest = np.full(rays.shape[:2], np.inf)
-        for low, high in BOXES:
-            with np.errstate(divide="ignore"):
-                ends = np.stack([(low - eye) / rays, (high - eye) / rays])
-            near, far = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
-            hit = (near < far) & (near < nearest)
-            nearest = np.where(hit, near, nearest)
-            at = eye + near[..., None] * rays
-            wave = np.sin(at @ [400, 250, 310]) + np.sin(at @ [-270, 380, 150])
-            look = np.array([90.0, 30, 30]) + 14 * wave[..., None]
-            image = np.where(hit[..., None], look, image)
-        views.append(View(f"{n:03d}.png", image.clip(0, 255).astype(np.uint8), CAMERA, T))
-    return views
+from tests.std_toolkit.scanning.boxes import BOXES, CORNERS, photos_of_boxes
 
 
 def posed_boxes(folder: Path) -> PosedPhotos:
