@@ -49,6 +49,8 @@ class TagsThroughSettings(Settings):
     """displacement from which a tag is not at its place"""
     displaced: float = limit(6.0, source=_SET_ON)
     """and this multiple of the median displacement of all tags"""
+    at_place_px: float = limit(2.5, unit="px", source="real photos of one lens are within 1 px")
+    """distance of all corners of a tag from where the board has them, within which it is bare"""
     at_place: float = limit(0.5, source="behind glass, a tag is in fewer than half of the photos")
     """share of the photos that show a tag at its place, unless it lies elsewhere"""
     fewest_tags: int = limit(4, source=_SET_ON)
@@ -87,6 +89,32 @@ def tags_through(
     found = in_threads(lambda v: legible_tags(v, tags, dictionary), views, threads=threads)
     through = zip(views, displaced_tags(found), strict=True)
     return [(view, names) for view, names in through if names]
+
+
+def tags_at_place(
+    views: Sequence[View], found: Mapping[str, Array], tags: Mapping[int, Array]
+) -> dict[str, Array]:
+    """Tags that detection found where the board has them: nothing opaque stands before them.
+
+    Args:
+        views: photos, undistorted, with poses.
+        found: corners (4 * n, 2) of the tags found in each photo, pixels, by its name.
+        tags: corners (4, 3) of each tag in the world, metres.
+
+    Returns:
+        Corners (n, 4, 2) in pixels, by the name of the photo.
+    """
+    if not tags:
+        return {}
+    limits = TagsThroughSettings.current()
+    every = np.concatenate(list(tags.values()))
+    at_place = {}
+    for view in views:
+        quads = found.get(view.name, np.zeros((0, 2))).reshape(-1, 4, 2)
+        expected = np.nan_to_num(view.project(every)[0], nan=-1e6).reshape(-1, 4, 2)
+        off = np.linalg.norm(quads[:, None] - expected, axis=-1).max(axis=-1).min(axis=1)
+        at_place[view.name] = quads[off < limits.at_place_px]
+    return at_place
 
 
 def check_tags(

@@ -1,6 +1,6 @@
 """What stands on the table: parts of a coarse hull."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -85,12 +85,14 @@ class CoarseHull:
         possible: voxels that few photos see the bare table through.
         grid: the voxels.
         compared: the photos against the table.
+        board: (2,) low and high corner of the board.
     """
 
     different: NDArray[np.int16]
     possible: Mask
     grid: Grid
     compared: list[Comparison]
+    board: tuple[Array, Array]
 
     @property
     def solid(self) -> Mask:
@@ -103,27 +105,30 @@ class CoarseHull:
 
 
 def find_candidates(
-    views: Sequence[View], corners: Array, *, threads: int
+    views: Sequence[View], corners: Array, bare: Mapping[str, Array] | None = None, *, threads: int
 ) -> tuple[list[Candidate], list[Comparison]]:
     """What stands on the board or beside it, largest first, and the photos against the table.
 
     Args:
         views: photos.
         corners: (M, 3) corners of the board, world.
+        bare: as of `compare_with_table`.
         threads: number of threads.
     """
-    hull = coarse_hull(views, corners, threads=threads)
+    hull = coarse_hull(views, corners, bare, threads=threads)
     return split_hull(hull, len(views))[0], hull.compared
 
 
 def coarse_hull(
-    views: Sequence[View], corners: Array, *, cells: int = MOST_CELLS, threads: int
-) -> CoarseHull:
+    views: Sequence[View], corners: Array, bare: Mapping[str, Array] | None = None, *,
+    cells: int = MOST_CELLS, threads: int,
+) -> CoarseHull:  # fmt: skip
     """Voxels of all that stands on the board or beside it.
 
     Args:
         views: photos.
         corners: (M, 3) corners of the board, world.
+        bare: as of `compare_with_table`.
         cells: number of cells of the table at most.
         threads: number of threads.
     """
@@ -138,14 +143,14 @@ def coarse_hull(
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
     grid = Grid.around(np.array([*low, limits.above_m]), np.array([*high, tallest]), step, margin=0)
 
-    compared = compare_with_table(views, corners, cells=cells, threads=threads)
+    compared = compare_with_table(views, corners, bare=bare, cells=cells, threads=threads)
     different, possible = _not_carved(views, compared, grid)
     # What stands on the table hides the cells below it from all photos. Their colour is its own,
     # which may pass for that of the table: look at the table once more without them.
     blocked = _silhouettes(views, possible & (different >= 3), grid)
-    compared = compare_with_table(views, corners, blocked, cells=cells, threads=threads)
+    compared = compare_with_table(views, corners, blocked, bare=bare, cells=cells, threads=threads)
     different, possible = _not_carved(views, compared, grid)
-    return CoarseHull(different, possible, grid, compared)
+    return CoarseHull(different, possible, grid, compared, (low + edge, high - edge))
 
 
 def compare_with_table(
@@ -153,12 +158,39 @@ def compare_with_table(
     corners: Array,
     blocked: Sequence[Mask] | None = None,
     *,
+    bare: Mapping[str, Array] | None = None,
     cells: int = MOST_CELLS,
     threads: int,
 ) -> list[Comparison]:
-    """The photos against the table on which they agree; arguments as of `model_tables`."""
+    """The photos against the table on which they agree.
+
+    Args:
+        views, corners, blocked, cells: as of `model_tables`.
+        bare: corners (N, 4, 2) in pixels of bare tags, by the name of the photo.
+        threads: number of threads.
+    """
     tables = model_tables(views, corners, blocked, cells=cells)
-    return in_threads(lambda i: compare(views[i], tables, i), range(len(views)), threads=threads)
+    bare = bare or {}
+
+    def one(i: int) -> Comparison:
+        quads = bare.get(views[i].name)
+        found = compare(views[i], tables, i)
+        return found if quads is None else _with_bare(found, quads)
+
+    return in_threads(one, range(len(views)), threads=threads)
+
+
+def _with_bare(compared: Comparison, quads: Array) -> Comparison:
+    """The comparison with tags (N, 4, 2) that are bare: their edges differ by blur."""
+    tags = np.zeros(compared.clear.shape, np.uint8)
+    for quad in np.rint(quads).astype(np.int32):
+        cv2.fillConvexPoly(tags, quad, 1)
+    # The rim may be that of something before it.
+    shown = cv2.erode(tags, np.ones((3, 3), np.uint8)) > 0
+    return Comparison(
+        compared.clear | shown, compared.different & ~shown, compared.known | shown,
+        compared.beyond & ~shown,
+    )  # fmt: skip
 
 
 def _silhouettes(views: Sequence[View], solid: Mask, grid: Grid) -> list[Mask]:
@@ -216,7 +248,7 @@ def split_hull(hull: CoarseHull, photos: int) -> tuple[list[Candidate], NDArray[
     """
     limits = CandidateSettings.current()
     different, possible, grid = hull.different, hull.possible, hull.grid
-    labels, _ = ndimage.label(hull.solid)
+    labels = _labelled(hull)
     found: list[tuple[int, Candidate]] = []
     bottom = max(2, round(0.02 / grid.step))
     for n, place in enumerate(ndimage.find_objects(labels), start=1):
@@ -241,6 +273,31 @@ def split_hull(hull: CoarseHull, photos: int) -> tuple[list[Candidate], NDArray[
     number = np.zeros(int(labels.max()) + 1, np.int32)
     number[[n for n, _ in found]] = np.arange(1, len(found) + 1)
     return [c for _, c in found], number[labels]
+
+
+def _labelled(hull: CoarseHull) -> NDArray[np.int32]:
+    """Numbers of the connected parts of a hull above the board; what is beside it joins the
+    nearest part, but joins no two: too few photos show the table there."""
+    x, y = (
+        hull.grid.origin[k] + np.arange(n) * hull.grid.step
+        for k, n in enumerate(hull.grid.shape[:0:-1])
+    )
+    low, high = hull.board
+    above = ((y >= low[1]) & (y <= high[1]))[:, None] & ((x >= low[0]) & (x <= high[0]))
+    labels, count = ndimage.label(hull.solid & above)
+    if not count:
+        return np.asarray(labels, np.int32)
+    nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False,
+                                             return_indices=True)  # fmt: skip
+    joined = np.where(hull.solid, labels[tuple(nearest)], 0)
+    # Not across a gap.
+    for n, place in enumerate(ndimage.find_objects(joined), start=1):
+        part = joined[place] == n
+        pieces, number = ndimage.label(part)
+        if number > 1:
+            own = np.unique(pieces[part & (labels[place] == n)])
+            joined[place][part & ~np.isin(pieces, own)] = 0
+    return np.asarray(joined, np.int32)
 
 
 def _outer(part: Mask, possible: Mask, grid: Grid) -> Surface:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.images import read_mask
@@ -17,7 +18,7 @@ from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.log import logger
 from std_toolkit.poses.board_scale import Board
 from std_toolkit.scanning.board.object_checks import check_opaque
-from std_toolkit.scanning.board.tags_through import check_tags, tags_through
+from std_toolkit.scanning.board.tags_through import check_tags, tags_at_place, tags_through
 from std_toolkit.scanning.masks.candidates import Candidate, compare_with_table, find_candidates
 from std_toolkit.scanning.masks.masks import dilated, segment_by_border
 from std_toolkit.scanning.masks.outlines import Shown, best_photos, draw_candidates
@@ -59,10 +60,17 @@ class Things:
         self._through: list[tuple[View, list[int]]] | None = None
 
     @cached_property
+    def bare(self) -> dict[str, Array]:
+        """Corners of the bare tags of each photo."""
+        return tags_at_place(self.posed.views, self.posed.found, self.posed.tags())
+
+    @cached_property
     def standing(self) -> Standing:
         """The objects."""
         posed = self.posed
-        found = find_standing(posed.views, posed.corners, posed.points, threads=self._threads)
+        found = find_standing(
+            posed.views, posed.corners, posed.points, self.bare, threads=self._threads
+        )
         logger.info("%d objects stand on the board", len(found.candidates))
         return found
 
@@ -71,7 +79,9 @@ class Things:
         """The photos against the table."""
         views = self.posed.views
         blocked = self.standing.hull.silhouettes(views)
-        return compare_with_table(views, self.posed.corners, blocked, threads=self._threads)
+        return compare_with_table(
+            views, self.posed.corners, blocked, bare=self.bare, threads=self._threads
+        )
 
     @cached_property
     def shown(self) -> list[Shown]:
@@ -189,8 +199,8 @@ def table_masks(options: ScanOptions, things: Things, threads: int, folder: str 
     if not things.many:
         # One object, unless a closer look finds more.
         things.check_tags(options)
-        found, compared = find_candidates(views, posed.corners, threads=threads)
-        found = sure_candidates(found, views, posed.corners, compared)
+        found, compared = find_candidates(views, posed.corners, things.bare, threads=threads)
+        found = sure_candidates(found, views, posed.corners, compared, things.standing.tags)
         things.standing = replace(things.standing, candidates=found)
     if things.many and pick is None and box is None:
         raise _several(options, things, folder)
@@ -205,7 +215,7 @@ def table_masks(options: ScanOptions, things: Things, threads: int, folder: str 
         return done
     # Beside the coarse hull, which is too large, no table was known: look at it once more.
     blocked = [dilated(v.shown, _RIM_PX) for v in done]
-    compared = compare_with_table(views, posed.corners, blocked, threads=threads)
+    compared = compare_with_table(views, posed.corners, blocked, bare=things.bare, threads=threads)
     return segment_on_table(views, found, chosen, compared, threads=threads)
 
 

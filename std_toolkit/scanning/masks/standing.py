@@ -5,7 +5,7 @@ triangulated features, which among many things do not run into each other as the
 do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -49,7 +49,9 @@ class StandingSettings(Settings):
     """a picked pixel beside all objects belongs to the features within this distance"""
     covered: float = limit(0.3, source=NOT_RECORDED)
     """share of a part of the hull from which the features in it are the whole object"""
-    clear: float = limit(0.35, source=NOT_RECORDED)
+    clear: float = limit(
+        0.3, source="a real table: 0.04, 0.11 and 0.26 of objects, 0.31 of a shadow, 0.43 of tags"
+    )
     """median share of the known table that photos see bare at the place of an object, at most"""
     least_known: float = limit(0.3, source=NOT_RECORDED)
     """share of the place of an object behind which the table must be known in a photo"""
@@ -57,6 +59,10 @@ class StandingSettings(Settings):
     """and pixels of it in the small photo"""
     fewest_photos: int = limit(4, source=NOT_RECORDED)
     """such photos of an object"""
+    bare_tags: int = limit(3, source="an opaque object hides the tags below it from all photos")
+    """times that photos show a tag in the middle half of the place of no object"""
+    same_place: float = limit(0.4, source="objects stand beside one another")
+    """share of the smaller of two boxes, from above, from which their features are one object"""
     in_box: float = limit(0.3, source=NOT_RECORDED)
     """share of an object that lies in a box around it"""
 
@@ -68,39 +74,59 @@ class Standing:
     Attributes:
         candidates: the objects, largest first.
         hull: voxels of all of them.
+        tags: (N, 2) middles of the bare tags of all photos on the table.
     """
 
     candidates: list[Candidate]
     hull: CoarseHull
+    tags: Array
 
 
 def find_standing(
-    views: Sequence[View], corners: Array, points: Array, *, threads: int
-) -> Standing:
+    views: Sequence[View], corners: Array, points: Array,
+    bare: Mapping[str, Array] | None = None, *, threads: int,
+) -> Standing:  # fmt: skip
     """What stands on the board or beside it, by small photos.
 
     Args:
         views: photos.
         corners: (M, 3) corners of the board, world.
         points: (N, 3) triangulated features, world.
+        bare: corners (N, 4, 2) in pixels of bare tags, by the name of the photo.
         threads: number of threads.
     """
     limits = StandingSettings.current()
     spread = np.linspace(0, len(views) - 1, min(len(views), limits.photos)).round().astype(int)
     few = [small_view(views[i], limits.longest_px) for i in spread]
-    hull = coarse_hull(few, corners, cells=limits.cells, threads=threads)
+    smaller = {v.name: small.camera.width / v.camera.width
+               for v, small in zip([views[i] for i in spread], few, strict=True)}  # fmt: skip
+    tags = _on_table(views, bare or {})
+    # Pixel centres are at whole numbers.
+    bare = {name: (quads + 0.5) * smaller[name] - 0.5 for name, quads in (bare or {}).items()
+            if name in smaller}  # fmt: skip
+    hull = coarse_hull(few, corners, bare, cells=limits.cells, threads=threads)
     parts, number = split_hull(hull, len(few))
-    kept = sure_candidates(parts, few, corners, hull.compared)
+    kept = sure_candidates(parts, few, corners, hull.compared, tags)
     # Numbers of the parts that are left: beside bare tags, a lone object is not told apart.
     left = np.zeros(len(parts) + 1, np.int32)
     left[[parts.index(part) + 1 for part in kept]] = np.arange(1, len(kept) + 1)
     found = _told_apart(kept, left[number], hull.grid, _clusters(points))
-    return Standing(sure_candidates(found, few, corners, hull.compared), hull)
+    return Standing(sure_candidates(found, few, corners, hull.compared, tags), hull, tags)
+
+
+def _on_table(views: Sequence[View], quads: Mapping[str, Array]) -> Array:
+    """Middles (N, 2) on the table of the tags (n, 4, 2) that photos show."""
+    places = [np.zeros((0, 2))]
+    for view in views:
+        middles = quads.get(view.name, np.zeros((0, 4, 2))).mean(axis=1)
+        rays = view.camera.unproject(middles) @ view.T_world_cam.R.T
+        places.append((view.centre - rays * (view.centre[2] / rays[:, 2:]))[:, :2])
+    return np.concatenate(places)
 
 
 def sure_candidates(
     found: Sequence[Candidate], views: Sequence[View], corners: Array,
-    compared: Sequence[Comparison],
+    compared: Sequence[Comparison], tags: Array,
 ) -> list[Candidate]:  # fmt: skip
     """Those of several candidates that hide the board; the first, if none certainly does.
 
@@ -109,12 +135,27 @@ def sure_candidates(
         views: photos.
         corners: (M, 3) corners of the board, world.
         compared: the photos against the table.
+        tags: (N, 2) middles of the bare tags of all photos on the table.
     """
     if len(found) < 2:
         return list(found)
     bounds = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
-    sure = [c for c in found if _on_board(c, *bounds) and _hides(c, views, compared)]
+    sure = [
+        c for c in found
+        if _on_board(c, *bounds) and not _bare(c, tags) and _hides(c, views, compared)
+    ]  # fmt: skip
     return sure or [found[0]]
+
+
+def _bare(candidate: Candidate, tags: Array) -> bool:
+    """Whether photos show tags where the middle of a candidate stands."""
+    middle, half = (
+        (candidate.low + candidate.high)[:2] / 2,
+        (candidate.high - candidate.low)[:2] / 4,
+    )
+    return bool(
+        (np.abs(tags - middle) < half).all(axis=1).sum() >= StandingSettings.current().bare_tags
+    )
 
 
 def _on_board(candidate: Candidate, low: Array, high: Array) -> bool:
@@ -191,7 +232,25 @@ def _clusters(points: Array) -> list[Candidate]:
     _, label = connected_components(pairs, directed=False)
     large = np.flatnonzero(np.bincount(label) >= limits.fewest_points)
     hulls = [_standing_hull(points[label == n]) for n in large]
-    return [c for c in hulls if c is not None]
+    return _joined([c for c in hulls if c is not None])
+
+
+def _joined(clusters: list[Candidate]) -> list[Candidate]:
+    """Clusters, those above the same place of the table as one: objects do not stand in another."""
+    share = StandingSettings.current().same_place
+    for n, one in enumerate(clusters):
+        for other in clusters[n + 1 :]:
+            sides = np.minimum(one.high, other.high)[:2] - np.maximum(one.low, other.low)[:2]
+            areas = [float(np.prod((c.high - c.low)[:2])) for c in (one, other)]
+            if float(np.maximum(sides, 0).prod()) <= share * min(areas):
+                continue
+            assert one.points is not None
+            assert other.points is not None
+            both = _standing_hull(np.concatenate([one.points, other.points]))
+            if both is not None:
+                rest = [c for c in clusters if c is not one and c is not other]
+                return _joined([both, *rest])
+    return clusters
 
 
 def _standing_hull(points: Array) -> Candidate | None:

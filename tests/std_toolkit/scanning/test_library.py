@@ -17,8 +17,11 @@ from std_toolkit.io.documents import read_document
 from std_toolkit.jobs import JobOptions
 from std_toolkit.poses.board_sheet import write_board_pdf
 from std_toolkit.scanning import library, scan_step
+from std_toolkit.scanning.board.tags_through import tags_at_place
 from std_toolkit.scanning.clock import Clock
 from std_toolkit.scanning.library import Library, scan_all
+from std_toolkit.scanning.masks import standing
+from std_toolkit.scanning.masks.candidates import Candidate
 from std_toolkit.scanning.masks.object_masks import Things
 from std_toolkit.scanning.masks.outlines import best_photos
 from std_toolkit.scanning.masks.standing import choose_candidate, find_standing
@@ -67,6 +70,41 @@ def test_features_are_the_object_where_a_box_limits_them() -> None:
     around = *(uv.min(axis=0) - 25), *(uv.max(axis=0) + 25)
     limited, chosen = choose_candidate(found, views, box=(0, *around))
     assert np.allclose(limited[chosen].high, BOXES[1][1], atol=0.01)
+
+
+def test_features_above_one_place_are_one_object() -> None:
+    """A lone bottle has a label below and one above: objects do not stand in one another."""
+    rng = np.random.default_rng(0)
+    low, high = np.array([-0.03, -0.03, 0.0]), np.array([0.03, 0.03, 0.03])
+    bottle = [rng.uniform(low, high, (300, 3)) + np.array([0, 0, z]) for z in (0.01, 0.12)]
+    beside = rng.uniform(low, high, (300, 3)) + np.array([0.1, 0, 0.01])
+    found = standing._clusters(np.concatenate([*bottle, beside]))
+    assert sorted(len(c.points) > 400 for c in found if c.points is not None) == [False, True]
+    assert max(c.high[2] for c in found) > 0.14
+
+
+def test_tags_that_photos_show_are_no_object() -> None:
+    views = photos_of_boxes(4)
+    half = 0.015
+    tag = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+    bare, beside = tag + np.array([0, 0.1, 0]), tag - np.array([0, 0.1, 0])
+    found = {v.name: np.concatenate([v.project(bare)[0], v.project(beside)[0] + np.array([0, 4])])
+             for v in views}  # fmt: skip
+    quads = tags_at_place(views, found, {0: bare, 1: beside})
+    # The second lies four pixels from its place: something refracts it, or it is misread.
+    assert [len(q) for q in quads.values()] == [1, 1, 1, 1]
+    middles = standing._on_table(views, quads)
+    # The middle of four pixels is not quite that of the tag.
+    assert np.allclose(middles, [0.0, 0.1], atol=0.002)
+
+    def candidate(x: float, y: float) -> Candidate:
+        low, high = np.array([x - 0.03, y - 0.03, 0]), np.array([x + 0.03, y + 0.03, 0.05])
+        return Candidate(low, high, 1e-4, np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+
+    assert standing._bare(candidate(0.005, 0.1), middles)
+    # Objects beside a tag may reach over it.
+    assert not standing._bare(candidate(0.025, 0.1), middles)
+    assert not standing._bare(candidate(0.0, 0.1), middles[:2])
 
 
 @pytest.mark.slow
