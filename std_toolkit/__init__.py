@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from std_toolkit.poses.pose_step import estimate_poses
     from std_toolkit.rendering.ground_truth import read_ground_truth, rendered_frames
     from std_toolkit.rendering.render_step import render_ground_truth
+    from std_toolkit.scanning.library import scan_all
     from std_toolkit.scanning.options import ScanOptions
     from std_toolkit.scanning.scan_step import scan
     from std_toolkit.scene.scene import Scene
@@ -69,6 +70,7 @@ __all__ = [
     "run_check",
     "run_label_command",
     "scan",
+    "scan_all",
     "set_pose",
     "solve_pnp",
 ]
@@ -102,6 +104,7 @@ _MODULES = {
     "run_check": "checks.check_step",
     "run_label_command": "labels.entry.label_command",
     "scan": "scanning.scan_step",
+    "scan_all": "scanning.library",
     "set_pose": "labels.entry.label",
     "solve_pnp": "labels.entry.pnp",
 }

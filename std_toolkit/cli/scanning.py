@@ -27,6 +27,8 @@ def run_scan(options: ScanOptions) -> int:
 
     from std_toolkit.scanning.scan_step import scan
 
+    if options.all_objects:
+        return _run_all(options)
     result = scan(options)
     for line in result.warnings:
         print(f"warning: {line}", file=sys.stderr)
@@ -37,6 +39,27 @@ def run_scan(options: ScanOptions) -> int:
     for fault in result.faults:
         print(f"error: the mesh must not be used: {fault}", file=sys.stderr)
     return 1 if result.faults else 0
+
+
+def _run_all(options: ScanOptions) -> int:
+    """Scan all objects and print what became of each; 1 if one has no mesh to use."""
+    from std_toolkit.scanning.library import LIBRARY, in_total, scan_all
+
+    library = scan_all(options)
+    for one in library.objects:
+        for line in one.warnings:
+            print(f"warning: {one.name}: {line}", file=sys.stderr)
+    for one in library.objects:
+        print(f"{one.name}: {one.status}" + (f", {options.out / one.mesh}" if one.mesh else ""))
+    print(f"overview: {options.out / 'report.html'}")
+    print(f"library: {options.out / LIBRARY}; label with std-annotate SCENE --meshes {options.out}")
+    wrong = [one for one in library.objects if one.status != "done"]
+    for one in wrong:
+        problem = one.problem if one.status == "failed" else f"must not be used: {one.problem}"
+        print(f"error: {one.name}: {problem}; again alone: --pick {one.pick}", file=sys.stderr)
+    if wrong:
+        print(f"error: {in_total(library)}", file=sys.stderr)
+    return 1 if wrong else 0
 
 
 def make_board(command: BoardCommand) -> int:

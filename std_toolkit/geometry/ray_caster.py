@@ -69,6 +69,9 @@ class RayCaster:
         vertices: (V, 3) metres of the first mesh; None to start without a mesh.
         faces: (F, 3) indices of its corners.
         threads: number of threads per query; 0 uses all cores.
+
+    Attributes:
+        bounds: (2, 3) low and high corner of the box around all meshes; infinities without one.
     """
 
     def __init__(
@@ -78,11 +81,17 @@ class RayCaster:
         self._threads = threads
         self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=threads)
+        self.bounds = np.array([np.full(3, np.inf), np.full(3, -np.inf)])
         if vertices is not None:
             self.add(vertices, faces)
 
     def add(self, vertices: ArrayLike, faces: ArrayLike) -> None:
         """Add a mesh: vertices (V, 3) in metres, faces (F, 3)."""
+        if len(at := np.asarray(vertices)):
+            low, high = self.bounds
+            self.bounds = np.stack(
+                [np.minimum(low, at.min(axis=0)), np.maximum(high, at.max(axis=0))]
+            )
         self._scene.add_triangles(
             self._floats(vertices), self._tensor(np.ascontiguousarray(faces, dtype=np.uint32))
         )

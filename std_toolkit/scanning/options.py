@@ -47,6 +47,12 @@ class ScanOptions:
     """[FOLDER/]PHOTO:x,y a pixel of the object, where several stand on the board"""
     box: str | None = None
     """[FOLDER/]PHOTO:x0,y0,x1,y1 a box around the object, where several stand on the board"""
+    all_objects: bool = field(default=False, metadata={"option": "all"})
+    """scan every object that stands on the board, one folder in the output folder for each, with
+    an overview and library.json; for std-annotate --meshes"""
+    names: tuple[str, ...] = ()
+    """with --all, names of the objects, largest first, as the error without --pick and
+    candidates.jpg number them (default: object_1, object_2, ...)"""
     revolve: bool = False
     """fit a surface of revolution to the outlines: for unsprayed vessels of glass or metal, without
     handles"""
@@ -102,6 +108,7 @@ class ScanOptions:
                     "chooses one of several objects on the board", field=option, value=given,
                     hint="give --board FILE, or masks with --masks",
                 )  # fmt: skip
+        self._check_all()
         if self.flipped is None:
             return
         if self.photos.resolve() == self.flipped.resolve():
@@ -116,6 +123,43 @@ class ScanOptions:
                     "takes one folder of photos", field=option,
                     hint="leave the second folder out",
                 )  # fmt: skip
+
+    def _check_all(self) -> None:
+        """Refuse options that belong to one object with those of all objects, and the reverse.
+
+        Raises:
+            ToolkitError: names the option.
+        """
+        if not self.all_objects:
+            if self.names:
+                raise ToolkitError(
+                    "names the objects of --all", field="--names", value=" ".join(self.names),
+                    hint="add --all; the name of one model is that of its folder --out",
+                )  # fmt: skip
+            return
+        single = {
+            "--pick": self.pick is not None, "--box": self.box is not None,
+            "--masks": self.masks is not None, "--revolve": self.revolve,
+            "--wall-mm": self.wall_mm is not None, "--category": self.category != "other",
+        }  # fmt: skip
+        given = [option for option, is_given in single.items() if is_given]
+        if given:
+            raise ToolkitError(
+                f"contradicts {given[0]}, which is of one object", field="--all",
+                hint=f"leave --all out, or scan all first and that object again with {given[0]}",
+            )  # fmt: skip
+        if self.flipped is not None or self.known.cameras is not None:
+            other = "a second folder" if self.flipped is not None else "--cameras"
+            raise ToolkitError(
+                f"contradicts {other}", field="--all",
+                hint="the objects are found on one board in one folder of photos",
+            )  # fmt: skip
+        for name in self.names:
+            check_name(name, field="--names")
+        if len({name.lower() for name in self.names}) < len(self.names):
+            raise ToolkitError(
+                "one name is given twice", field="--names", value=" ".join(self.names)
+            )
 
     @property
     def wall_m(self) -> float | None:

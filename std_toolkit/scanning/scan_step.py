@@ -1,15 +1,12 @@
 """The scan: photos to poses, masks, depth maps, a closed surface, texture, files and report."""
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from std_toolkit.arrays import Array, Floats
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io.documents import digest_file, digest_of
@@ -17,7 +14,8 @@ from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.jobs.door import check_own, has_record, output, own_files
 from std_toolkit.log import logger
 from std_toolkit.scanning.board.photo_poses import posed_photos
-from std_toolkit.scanning.masks.object_masks import both_positions, object_masks
+from std_toolkit.scanning.clock import JOINED, REVOLVED, STAGES, Clock
+from std_toolkit.scanning.masks.object_masks import Things, both_positions, object_masks
 from std_toolkit.scanning.model.bake import bake_texture
 from std_toolkit.scanning.model.model_frame import find_symmetry, model_frame, write_symmetry
 from std_toolkit.scanning.model.write_model import Scan, file_names, write_model
@@ -29,6 +27,7 @@ from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.surface.depth_maps import DepthEngine, depth_engine
 from std_toolkit.scanning.surface.measured_surface import (
     Side,
+    Surface,
     fused_surface,
     measure_side,
     side_surface,
@@ -62,50 +61,95 @@ def scan(options: ScanOptions) -> Scan:
         written, too, if it has `faults`, for which `std-scan` ends with status 1.
 
     Raises:
-        ToolkitError: the photos do not suffice; the message says what to photograph.
+        ToolkitError: the photos do not suffice, and the message says what to photograph; or the
+            options ask for all objects, see `scan_all`.
     """
+    if options.all_objects:
+        raise ToolkitError("scans many objects", field="--all", hint="call scan_all in Python")
     with output(options.out, MODEL_FOLDER, "std-scan photos"):
-        work, names = options.out / ".scan", file_names(options.out.resolve().name)
-        # A model of an earlier version has no record.
-        known = names if work.is_dir() and not has_record(options.out) else []
-        check_own(options.out, names, known=known)
-        work.mkdir(exist_ok=True)
+        if (options.out / "library.json").exists():
+            raise ToolkitError(
+                "holds the models of several objects", path=options.out,
+                hint="choose another folder, or add --all",
+            )  # fmt: skip
+        work, known = prepare(options)
         return _scan(options, work, known)
 
 
+def prepare(options: ScanOptions) -> tuple[Path, Sequence[str]]:
+    """Make the folder of stages of a model, and check that no file of the user is replaced.
+
+    Returns:
+        The folder, and names of files that are no user's, of an earlier version.
+
+    Raises:
+        ToolkitError: a file of the user is in the way.
+    """
+    work, names = options.out / ".scan", file_names(options.out.resolve().name)
+    # A model of an earlier version has no record.
+    known = names if work.is_dir() and not has_record(options.out) else []
+    check_own(options.out, names, known=known)
+    work.mkdir(exist_ok=True)
+    return work, known
+
+
 def _scan(options: ScanOptions, work: Path, known: Sequence[str]) -> Scan:
+    threads = options.jobs.worker_count
+    if options.flipped is not None:
+        clock = Clock(work, JOINED)
+        engine = depth_engine(options.depth)
+        posed, views, sides = _joined(options, engine, work, threads, clock.lap)
+        found = fused_surface(options, sides, posed.facts, threads)
+    elif options.revolve:
+        clock = Clock(work, REVOLVED)
+        posed = pose_step(options, work, clock.lap)
+        vessel, views = _vessel(options, posed, work, threads)
+        clock.lap("masks")
+        found = _revolved(vessel, posed)
+    else:
+        clock = Clock(work, STAGES)
+        # Unknown engines are refused before minutes are spent.
+        depth_engine(options.depth)
+        posed = pose_step(options, work, clock.lap)
+        return scan_object(options, posed, work, known, clock)
+    clock.lap("surface")
+    return _finished(options, posed, views, found, known, clock)
+
+
+def scan_object(
+    options: ScanOptions, posed: PosedPhotos, work: Path, known: Sequence[str], clock: Clock,
+    things: Things | None = None,
+) -> Scan:  # fmt: skip
+    """Model of one object from photos with poses, and its files.
+
+    Args:
+        options: of this object; `out` is its folder.
+        posed: the photos; receives its facts and warnings.
+        work: folder that keeps its stages.
+        known: names of files that are no user's.
+        clock: of the stages.
+        things: what stands on the board, if that is known.
+    """
+    threads = options.jobs.worker_count
+    views = object_masks(options, posed, work, threads, things)
+    clock.lap("masks")
+    side = measure_side(
+        options, posed, views, depth_engine(options.depth), work, threads, clock.lap
+    )
+    found = fused_surface(options, [(side, SE3.identity())], posed.facts, threads)
+    clock.lap("surface")
+    return _finished(options, posed, side.views, found, known, clock)
+
+
+def _finished(
+    options: ScanOptions, posed: PosedPhotos, views: Sequence[View], found: Surface,
+    known: Sequence[str], clock: Clock,
+) -> Scan:  # fmt: skip
+    """The surface with its texture, in the frame of the model, and its files."""
     from std_toolkit.scanning.model.report import write_report
 
-    threads = options.jobs.worker_count
-    seconds: dict[str, float] = {}
-    began = time.perf_counter()
-
-    def lap(name: str) -> None:
-        nonlocal began
-        seconds[name] = time.perf_counter() - began
-        began = time.perf_counter()
-        logger.info("%s: %.0f s", name, seconds[name])
-
-    engine = depth_engine(options.depth)
-    vessel: RevolvedSurface | None = None
-    sides: list[tuple[Side, SE3]] = []
-    if options.flipped is not None:
-        posed, views, sides = _joined(options, engine, work, threads, lap)
-    elif options.revolve:
-        posed = _posed(options, _photos(options, work), work, lap)
-        vessel, views = _vessel(options, posed, work, threads)
-        lap("masks")
-    else:
-        posed, views = _prepared(options, _photos(options, work), work, threads, lap)
-    if vessel is not None:
-        vertices, faces, support = _revolved(vessel, posed)
-    else:
-        if not sides:
-            side = measure_side(options, posed, views, engine, work, threads, lap)
-            sides, views = [(side, SE3.identity())], side.views
-        found = fused_surface(options, sides, posed.facts, threads)
-        vertices, faces, support = found.vertices, found.faces, found.support
-    lap("surface")
+    threads, lap = options.jobs.worker_count, clock.lap
+    vertices, faces, support = found.vertices, found.faces, found.support
     texture = bake_texture(vertices, faces, views, size=options.texture, threads=threads)
     lap("texture")
     T_model_world = SE3.identity()
@@ -122,7 +166,7 @@ def _scan(options: ScanOptions, work: Path, known: Sequence[str]) -> Scan:
         views=[replace(v, T_world_cam=T_model_world @ v.T_world_cam) for v in views],
         facts={**posed.facts, **words},
         warnings=posed.warnings,
-        seconds=seconds,
+        seconds=clock.seconds,
     )
     with own_files(options.out, file_names(result.name), known=known):
         write_model(options.out, result.name, result.vertices, faces, texture)
@@ -130,6 +174,11 @@ def _scan(options: ScanOptions, work: Path, known: Sequence[str]) -> Scan:
         result = write_report(options.out, result)
     lap("files")
     return result
+
+
+def pose_step(options: ScanOptions, work: Path, lap: Callable[[str], None]) -> PosedPhotos:
+    """Photos of one position with poses."""
+    return _posed(options, _photos(options, work), work, lap)
 
 
 def _photos(options: ScanOptions, work: Path) -> photo_files.Photos:
@@ -154,17 +203,6 @@ def _posed(
     return posed
 
 
-def _prepared(
-    options: ScanOptions, found: photo_files.Photos, work: Path, threads: int,
-    lap: Callable[[str], None],
-) -> tuple[PosedPhotos, list[View]]:  # fmt: skip
-    """Photos of one position with poses, and with masks."""
-    posed = _posed(options, found, work, lap)
-    views = object_masks(options, posed, work, threads)
-    lap("masks")
-    return posed, views
-
-
 def _joined(
     options: ScanOptions, engine: DepthEngine, work: Path, threads: int, lap: Callable[[str], None]
 ) -> tuple[PosedPhotos, list[View], list[tuple[Side, SE3]]]:
@@ -186,7 +224,9 @@ def _joined(
         def told(stage: str, name: str = name) -> None:
             lap(f"{stage} of the flipped" if name else stage)
 
-        posed, views = _prepared(part, found, folder, threads, told)
+        posed = _posed(part, found, folder, told)
+        views = object_masks(part, posed, folder, threads, folder=label)
+        told("masks")
         side = measure_side(part, posed, views, engine, folder, threads, told)
         named = [replace(v, name=f"{label}/{v.name}") for v in side.views]
         both.append((posed, replace(side, views=named)))
@@ -264,14 +304,12 @@ def _outline_views(views: Sequence[View]) -> list[OutlineView]:
     return [OutlineView(v.camera, v.T_world_cam, v.shown, v.image) for v in views]
 
 
-def _revolved(
-    found: RevolvedSurface, posed: PosedPhotos
-) -> tuple[Array, NDArray[np.int64], Floats]:
-    """Vertices and faces of a surface of revolution; no depth supports it."""
+def _revolved(found: RevolvedSurface, posed: PosedPhotos) -> Surface:
+    """Surface of revolution; no depth supports it."""
     posed.facts["outline residual"] = f"{found.outline_px:.2f} px"
     posed.facts["outline left out"] = f"{100 * found.outside:.1f} %"
     posed.facts["deviation of the radii"] = f"{1000 * float(np.median(found.deviation_m)):.2f} mm"
     posed.facts.update(found.facts)
     posed.warnings.extend(found.warnings)
     vertices, faces = found.mesh()
-    return vertices, faces, np.zeros(len(faces), np.float32)
+    return Surface(vertices=vertices, faces=faces, support=np.zeros(len(faces), np.float32))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array, Floats
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.settings import Settings, limit
 
@@ -48,6 +49,8 @@ class TagsThroughSettings(Settings):
     """displacement from which a tag is not at its place"""
     displaced: float = limit(6.0, source=_SET_ON)
     """and this multiple of the median displacement of all tags"""
+    at_place_px: float = limit(2.5, unit="px", source="real photos of one lens are within 1 px")
+    """distance of all corners of a tag from where the board has them, within which it is bare"""
     at_place: float = limit(0.5, source="behind glass, a tag is in fewer than half of the photos")
     """share of the photos that show a tag at its place, unless it lies elsewhere"""
     fewest_tags: int = limit(4, source=_SET_ON)
@@ -71,26 +74,69 @@ class FoundTag:
     right: float
 
 
-def check_tags(
+def tags_through(
     views: Sequence[View], tags: Mapping[int, Array], dictionary: str, *, threads: int
-) -> None:
-    """Raise an error if photos show displaced tags, which a clear object refracts.
+) -> list[tuple[View, list[int]]]:
+    """Photos with the ids of the tags that are displaced in them.
 
     Args:
         views: photos, undistorted, with poses.
         tags: corners (4, 3) of each tag in the world, in OpenCV's order, metres.
         dictionary: name of OpenCV's dictionary of the tags.
         threads: number of threads.
+    """
+    views = views[:: -(-len(views) // _PHOTOS)]
+    found = in_threads(lambda v: legible_tags(v, tags, dictionary), views, threads=threads)
+    through = zip(views, displaced_tags(found), strict=True)
+    return [(view, names) for view, names in through if names]
+
+
+def tags_at_place(
+    views: Sequence[View], found: Mapping[str, Array], tags: Mapping[int, Array]
+) -> dict[str, Array]:
+    """Tags that detection found where the board has them: nothing opaque stands before them.
+
+    Args:
+        views: photos, undistorted, with poses.
+        found: corners (4 * n, 2) of the tags found in each photo, pixels, by its name.
+        tags: corners (4, 3) of each tag in the world, metres.
+
+    Returns:
+        Corners (n, 4, 2) in pixels, by the name of the photo.
+    """
+    if not tags:
+        return {}
+    limits = TagsThroughSettings.current()
+    every = np.concatenate(list(tags.values()))
+    at_place = {}
+    for view in views:
+        quads = found.get(view.name, np.zeros((0, 2))).reshape(-1, 4, 2)
+        expected = np.nan_to_num(view.project(every)[0], nan=-1e6).reshape(-1, 4, 2)
+        off = np.linalg.norm(quads[:, None] - expected, axis=-1).max(axis=-1).min(axis=1)
+        at_place[view.name] = quads[off < limits.at_place_px]
+    return at_place
+
+
+def check_tags(
+    through: Sequence[tuple[View, list[int]]],
+    tags: Mapping[int, Array],
+    caster: RayCaster | None = None,
+) -> None:
+    """Raise an error if photos show displaced tags, which a clear object refracts.
+
+    Args:
+        through: of `tags_through`.
+        tags: corners (4, 3) of each tag in the world, metres.
+        caster: all that may be the object; tags beside it do not count. None: all count.
 
     Raises:
         ToolkitError: the object is transparent.
     """
     limits = TagsThroughSettings.current()
-    views = views[:: -(-len(views) // _PHOTOS)]
-    found = in_threads(lambda v: legible_tags(v, tags, dictionary), views, threads=threads)
-    through = displaced_tags(found)
-    photos = [view.name for view, names in zip(views, through, strict=True) if names]
-    count = sum(map(len, through))
+    if caster is not None:
+        through = [(view, _behind(view, names, tags, caster)) for view, names in through]
+    photos = [view.name for view, names in through if names]
+    count = sum(len(names) for _, names in through)
     if count >= limits.fewest_tags and len(photos) >= limits.fewest_photos:
         raise ToolkitError(
             f"the object is transparent: {len(photos)} photos show {count} tags of the board "
@@ -99,6 +145,16 @@ def check_tags(
             hint="spray it matt and photograph it again, scan it with --revolve if it is a vessel "
             "of revolution, or give its outlines with --masks",
         )
+
+
+def _behind(
+    view: View, names: Sequence[int], tags: Mapping[int, Array], caster: RayCaster
+) -> list[int]:
+    """Those tags whose middle a surface hides in a photo."""
+    middles = np.stack([tags[n].mean(axis=0) for n in names]) if names else np.zeros((0, 3))
+    rays = np.concatenate([np.broadcast_to(view.centre, middles.shape), middles - view.centre], 1)
+    hidden = caster.cast(rays).distance < 1
+    return [n for n, is_hidden in zip(names, hidden, strict=True) if is_hidden]
 
 
 def displaced_tags(found: Sequence[Sequence[FoundTag]]) -> list[list[int]]:

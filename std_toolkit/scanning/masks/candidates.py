@@ -1,6 +1,6 @@
-"""What stands on the table: parts of a coarse hull, or clusters of triangulated features."""
+"""What stands on the table: parts of a coarse hull."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from std_toolkit.arrays import Array, Mask
-from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.hull import surface_of
 from std_toolkit.scanning.masks.table_comparison import Comparison, compare
-from std_toolkit.scanning.masks.table_model import model_tables
+from std_toolkit.scanning.masks.table_model import MOST_CELLS, model_tables
 from std_toolkit.scanning.photos.views import Grid, View, in_threads
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
@@ -21,8 +19,6 @@ from std_toolkit.settings import NOT_RECORDED, Settings, limit
 _COARSE_VOXELS = 400_000
 # Height of an object in sizes of the board.
 _TALLEST = 2.0
-# Features of one object have a neighbour within this distance.
-_LINK_M = 0.02
 # Sizes of the inner part of a hull of points, and of what may belong to the object.
 _INNER, _OUTER = 0.7, 1.15
 # Rim of a coarse hull that may not be the object, as a share of the depth where it is deepest.
@@ -41,10 +37,6 @@ class CandidateSettings(Settings):
     """share of the photos in which an object hides the table"""
     above_m: float = limit(0.004, unit="m", source=NOT_RECORDED)
     """height above the table from which a voxel or a point counts as part of an object"""
-    fewest_points: int = limit(20, source=NOT_RECORDED)
-    """features of an object"""
-    pick_px: float = limit(45.0, unit="px", source=NOT_RECORDED)
-    """a picked pixel belongs to the features within this distance"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +50,7 @@ class Candidate:
         voxels: surfaces (vertices, faces) of all that may belong to it, which includes what is
             above the hull and stands before no known table in any photo, and of its inner part.
             None if it was found by points alone.
+        points: (N, 3) its features, if it was found by these.
     """
 
     low: Array
@@ -66,6 +59,7 @@ class Candidate:
     vertices: Array
     faces: NDArray[np.int64]
     voxels: tuple[Surface, Surface] | None = None
+    points: Array | None = None
 
     @property
     def outer(self) -> Surface:
@@ -82,14 +76,60 @@ class Candidate:
         return middle + factor * (self.vertices - middle), self.faces
 
 
+@dataclass(frozen=True, eq=False)
+class CoarseHull:
+    """Voxels on and beside the board that hide the table from photos.
+
+    Attributes:
+        different: number of photos in which each voxel hides the table.
+        possible: voxels that few photos see the bare table through.
+        grid: the voxels.
+        compared: the photos against the table.
+        board: (2,) low and high corner of the board.
+    """
+
+    different: NDArray[np.int16]
+    possible: Mask
+    grid: Grid
+    compared: list[Comparison]
+    board: tuple[Array, Array]
+
+    @property
+    def solid(self) -> Mask:
+        """Voxels of what stands there."""
+        return self.possible & (self.different >= 3)
+
+    def silhouettes(self, views: Sequence[View]) -> list[Mask]:
+        """Pixels (H, W) of photos, of any size, before which something stands."""
+        return _silhouettes(views, self.solid, self.grid)
+
+
 def find_candidates(
-    views: Sequence[View], corners: Array, *, threads: int
+    views: Sequence[View], corners: Array, bare: Mapping[str, Array] | None = None, *, threads: int
 ) -> tuple[list[Candidate], list[Comparison]]:
     """What stands on the board or beside it, largest first, and the photos against the table.
 
     Args:
         views: photos.
         corners: (M, 3) corners of the board, world.
+        bare: as of `compare_with_table`.
+        threads: number of threads.
+    """
+    hull = coarse_hull(views, corners, bare, threads=threads)
+    return split_hull(hull, len(views))[0], hull.compared
+
+
+def coarse_hull(
+    views: Sequence[View], corners: Array, bare: Mapping[str, Array] | None = None, *,
+    cells: int = MOST_CELLS, threads: int,
+) -> CoarseHull:  # fmt: skip
+    """Voxels of all that stands on the board or beside it.
+
+    Args:
+        views: photos.
+        corners: (M, 3) corners of the board, world.
+        bare: as of `compare_with_table`.
+        cells: number of cells of the table at most.
         threads: number of threads.
     """
     limits = CandidateSettings.current()
@@ -103,14 +143,14 @@ def find_candidates(
     step = float((box.prod() / _COARSE_VOXELS) ** (1 / 3))
     grid = Grid.around(np.array([*low, limits.above_m]), np.array([*high, tallest]), step, margin=0)
 
-    compared = compare_with_table(views, corners, threads=threads)
+    compared = compare_with_table(views, corners, bare=bare, cells=cells, threads=threads)
     different, possible = _not_carved(views, compared, grid)
     # What stands on the table hides the cells below it from all photos. Their colour is its own,
     # which may pass for that of the table: look at the table once more without them.
     blocked = _silhouettes(views, possible & (different >= 3), grid)
-    compared = compare_with_table(views, corners, blocked, threads=threads)
+    compared = compare_with_table(views, corners, blocked, bare=bare, cells=cells, threads=threads)
     different, possible = _not_carved(views, compared, grid)
-    return _split(different, possible, grid, len(views)), compared
+    return CoarseHull(different, possible, grid, compared, (low + edge, high - edge))
 
 
 def compare_with_table(
@@ -118,11 +158,39 @@ def compare_with_table(
     corners: Array,
     blocked: Sequence[Mask] | None = None,
     *,
+    bare: Mapping[str, Array] | None = None,
+    cells: int = MOST_CELLS,
     threads: int,
 ) -> list[Comparison]:
-    """The photos against the table on which they agree; arguments as of `model_tables`."""
-    tables = model_tables(views, corners, blocked)
-    return in_threads(lambda i: compare(views[i], tables, i), range(len(views)), threads=threads)
+    """The photos against the table on which they agree.
+
+    Args:
+        views, corners, blocked, cells: as of `model_tables`.
+        bare: corners (N, 4, 2) in pixels of bare tags, by the name of the photo.
+        threads: number of threads.
+    """
+    tables = model_tables(views, corners, blocked, cells=cells)
+    bare = bare or {}
+
+    def one(i: int) -> Comparison:
+        quads = bare.get(views[i].name)
+        found = compare(views[i], tables, i)
+        return found if quads is None else _with_bare(found, quads)
+
+    return in_threads(one, range(len(views)), threads=threads)
+
+
+def _with_bare(compared: Comparison, quads: Array) -> Comparison:
+    """The comparison with tags (N, 4, 2) that are bare: their edges differ by blur."""
+    tags = np.zeros(compared.clear.shape, np.uint8)
+    for quad in np.rint(quads).astype(np.int32):
+        cv2.fillConvexPoly(tags, quad, 1)
+    # The rim may be that of something before it.
+    shown = cv2.erode(tags, np.ones((3, 3), np.uint8)) > 0
+    return Comparison(
+        compared.clear | shown, compared.different & ~shown, compared.known | shown,
+        compared.beyond & ~shown,
+    )  # fmt: skip
 
 
 def _silhouettes(views: Sequence[View], solid: Mask, grid: Grid) -> list[Mask]:
@@ -172,13 +240,16 @@ def _not_carved(
     return different.reshape(grid.shape), possible
 
 
-def _split(
-    different: NDArray[np.int16], possible: Mask, grid: Grid, photos: int
-) -> list[Candidate]:
-    """Connected parts of the coarse hull that begin near the table, largest first."""
+def split_hull(hull: CoarseHull, photos: int) -> tuple[list[Candidate], NDArray[np.int32]]:
+    """Connected parts of a coarse hull that begin near the table, largest first.
+
+    Returns:
+        The parts, and the number of the part of each voxel, from 1; 0 for none.
+    """
     limits = CandidateSettings.current()
-    labels, _ = ndimage.label(possible & (different >= 3))
-    found = []
+    different, possible, grid = hull.different, hull.possible, hull.grid
+    labels = _labelled(hull)
+    found: list[tuple[int, Candidate]] = []
     bottom = max(2, round(0.02 / grid.step))
     for n, place in enumerate(ndimage.find_objects(labels), start=1):
         part = labels[place] == n
@@ -193,14 +264,40 @@ def _split(
         local = Grid(tuple(corner), grid.step, part.shape)
         field = np.where(part, -grid.step, grid.step).astype(np.float32)
         vertices, faces = surface_of(field, local)
-        found.append(
-            Candidate(
-                vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces,
-                (_outer(labels == n, possible, grid), _inner(part, local)),
-            )
-        )  # fmt: skip
-    found.sort(key=lambda c: -c.volume)
-    return [c for c in found if c.volume > limits.small * found[0].volume]
+        surfaces = _outer(labels == n, possible, grid), _inner(part, local)
+        found.append((n, Candidate(
+            vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces, surfaces,
+        )))  # fmt: skip
+    found.sort(key=lambda f: -f[1].volume)
+    found = [f for f in found if f[1].volume > limits.small * found[0][1].volume]
+    number = np.zeros(int(labels.max()) + 1, np.int32)
+    number[[n for n, _ in found]] = np.arange(1, len(found) + 1)
+    return [c for _, c in found], number[labels]
+
+
+def _labelled(hull: CoarseHull) -> NDArray[np.int32]:
+    """Numbers of the connected parts of a hull above the board; what is beside it joins the
+    nearest part, but joins no two: too few photos show the table there."""
+    x, y = (
+        hull.grid.origin[k] + np.arange(n) * hull.grid.step
+        for k, n in enumerate(hull.grid.shape[:0:-1])
+    )
+    low, high = hull.board
+    above = ((y >= low[1]) & (y <= high[1]))[:, None] & ((x >= low[0]) & (x <= high[0]))
+    labels, count = ndimage.label(hull.solid & above)
+    if not count:
+        return np.asarray(labels, np.int32)
+    nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False,
+                                             return_indices=True)  # fmt: skip
+    joined = np.where(hull.solid, labels[tuple(nearest)], 0)
+    # Not across a gap.
+    for n, place in enumerate(ndimage.find_objects(joined), start=1):
+        part = joined[place] == n
+        pieces, number = ndimage.label(part)
+        if number > 1:
+            own = np.unique(pieces[part & (labels[place] == n)])
+            joined[place][part & ~np.isin(pieces, own)] = 0
+    return np.asarray(joined, np.int32)
 
 
 def _outer(part: Mask, possible: Mask, grid: Grid) -> Surface:
@@ -223,137 +320,3 @@ def _inner(part: Mask, grid: Grid) -> Surface:
     depth = ndimage.distance_transform_edt(padded)[:-1, 1:-1, 1:-1]
     limit = _RIM * float(depth.max())
     return surface_of(((limit - depth) * grid.step).astype(np.float32), grid)
-
-
-def choose_candidate(
-    candidates: Sequence[Candidate],
-    views: Sequence[View],
-    *,
-    pick: tuple[int, float, float] | None = None,
-    box: tuple[int, float, float, float, float] | None = None,
-) -> int:
-    """Index of the object to scan.
-
-    Args:
-        candidates: what stands on the table.
-        views: photos.
-        pick: index of a photo and a pixel (x, y) on the object.
-        box: index of a photo and x0, y0, x1, y1 around the object.
-
-    Raises:
-        ToolkitError: nothing stands there, or several objects and no choice.
-    """
-    if not candidates:
-        raise ToolkitError(
-            "nothing was found standing on the board",
-            hint="put the object on the board, photograph it also from above so that the board is "
-            "seen behind it, or give --masks; clear glass is hardly seen: spray it matt",
-        )
-    if pick is not None:
-        view = views[pick[0]]
-        ray = view.T_world_cam.R @ view.camera.unproject(np.array(pick[1:]))
-        hits = [
-            RayCaster(c.vertices, c.faces).cast(np.array([[*view.centre, *ray]])).distance[0]
-            for c in candidates
-        ]
-        if not np.isfinite(hits).any():
-            raise ToolkitError(
-                f"no object at this pixel of {view.name}", field="--pick", value=pick[1:]
-            )
-        return int(np.argmin(hits))
-    if box is not None:
-        view = views[box[0]]
-        shares = []
-        for c in candidates:
-            uv, _ = view.project(c.vertices)
-            shares.append(float(((uv >= box[1:3]) & (uv <= box[3:])).all(axis=1).mean()))
-        best = int(np.argmax([s * c.volume for s, c in zip(shares, candidates, strict=True)]))
-        if shares[best] < 0.3:
-            raise ToolkitError(
-                f"no object in this box of {view.name}", field="--box", value=box[1:]
-            )
-        return best
-    if len(candidates) > 1:
-        raise ToolkitError(
-            f"{len(candidates)} objects stand on the board",
-            hint="choose one with --pick FRAME:x,y or --box FRAME:x0,y0,x1,y1; the picture "
-            "candidates.jpg in the output folder shows them",
-        )
-    return 0
-
-
-def cluster_points(
-    points: Array,
-    views: Sequence[View],
-    *,
-    pick: tuple[int, float, float] | None = None,
-    box: tuple[int, float, float, float, float] | None = None,
-) -> tuple[list[Candidate], int] | None:
-    """Objects as clusters of triangulated features, and the index of the chosen one.
-
-    Among other things, hulls of few photos run into each other, and features do not.
-
-    Args:
-        points: (N, 3) features, world.
-        views: photos.
-        pick, box: the choice, as in `choose_candidate`.
-
-    Returns:
-        None if the chosen object has too few features.
-    """
-    settings = CandidateSettings.current()
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    points = points[points[:, 2] > 1.5 * settings.above_m]
-    chosen = pick or box
-    if chosen is None or len(points) < settings.fewest_points:
-        return None
-    uv, z = views[chosen[0]].project(points)
-    with np.errstate(invalid="ignore"):
-        if box is not None:
-            near = ((uv >= box[1:3]) & (uv <= box[3:])).all(axis=1) & (z > 0)
-        else:
-            near = (np.linalg.norm(uv - np.array(chosen[1:3]), axis=1) < settings.pick_px) & (z > 0)
-    tree = cKDTree(points)
-    pairs = tree.sparse_distance_matrix(tree, _LINK_M, output_type="coo_matrix")
-    _, label = connected_components(pairs, directed=False)
-    if near.sum() < 3:
-        return None
-    votes = np.bincount(label[near], minlength=int(label.max()) + 1)
-    best = int(votes.argmax())
-    order = [best] + [n for n in range(int(label.max()) + 1) if n != best]
-    found = []
-    for n in order:
-        part = points[label == n]
-        if box is not None and n == best:
-            # The box limits the object, too.
-            part = points[(label == n) & near]
-        candidate = _standing_hull(part) if len(part) >= settings.fewest_points else None
-        if candidate is not None:
-            found.append(candidate)
-        elif n == best:
-            return None
-    return found, 0
-
-
-def _standing_hull(points: Array) -> Candidate | None:
-    """Convex hull of the dense part of some features and of their feet on the table."""
-    import trimesh
-    from scipy.spatial import QhullError, cKDTree
-
-    distance, _ = cKDTree(points).query(points, k=min(4, len(points)))
-    points = points[distance[:, -1] <= 4 * np.median(distance[:, -1])]
-    feet = points * [1, 1, 0]
-    try:
-        mesh = trimesh.convex.convex_hull(np.concatenate([points, feet]))
-    except QhullError:
-        return None
-    vertices = np.asarray(mesh.vertices)
-    return Candidate(
-        vertices.min(axis=0),
-        vertices.max(axis=0),
-        float(mesh.volume),
-        vertices,
-        np.asarray(mesh.faces, np.int64),
-    )

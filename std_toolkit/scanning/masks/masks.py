@@ -152,7 +152,14 @@ def with_hidden(
 
 
 def hull_of(views: Sequence[View], *, cells: int, allowed: int, threads: int) -> RayCaster:
-    """The largest part of the visual hull.
+    """The largest part of the visual hull; arguments and errors as of `hull_surface`."""
+    return RayCaster(*hull_surface(views, cells=cells, allowed=allowed, threads=threads), threads=1)
+
+
+def hull_surface(
+    views: Sequence[View], *, cells: int, allowed: int, threads: int
+) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (V, 3) and faces (F, 3) of the largest part of the visual hull.
 
     Args:
         views: photos with masks.
@@ -174,7 +181,7 @@ def hull_of(views: Sequence[View], *, cells: int, allowed: int, threads: int) ->
             "the masks of the photos contradict each other",
             hint="correct them with std-annotate and give them with --masks",
         )
-    return RayCaster(vertices, faces, threads=1)
+    return vertices, faces
 
 
 def covered(view: View, caster: RayCaster) -> Mask:

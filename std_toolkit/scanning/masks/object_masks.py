@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from std_toolkit.arrays import Array
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.images import read_mask, write_color
+from std_toolkit.geometry.ray_caster import RayCaster
+from std_toolkit.io.images import read_mask
 from std_toolkit.jobs.artefact import Artefact
+from std_toolkit.log import logger
 from std_toolkit.poses.board_scale import Board
 from std_toolkit.scanning.board.object_checks import check_opaque
-from std_toolkit.scanning.board.tags_through import check_tags
-from std_toolkit.scanning.masks import candidates as standing
+from std_toolkit.scanning.board.tags_through import check_tags, tags_at_place, tags_through
+from std_toolkit.scanning.masks.candidates import Candidate, compare_with_table, find_candidates
 from std_toolkit.scanning.masks.masks import dilated, segment_by_border
+from std_toolkit.scanning.masks.outlines import Shown, best_photos, draw_candidates
 from std_toolkit.scanning.masks.proven_masks import segment_on_table
+from std_toolkit.scanning.masks.standing import (
+    Standing,
+    choose_candidate,
+    find_standing,
+    sure_candidates,
+)
+from std_toolkit.scanning.masks.table_comparison import Comparison
 from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
@@ -35,7 +47,101 @@ class MaskFileSettings(Settings):
     """a mask may be so many times smaller than its photo"""
 
 
-def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: int) -> list[View]:
+class Things:
+    """What stands on the board of a recording: found when it is asked for, once for all objects.
+
+    Args:
+        posed: the photos.
+        threads: to use.
+    """
+
+    def __init__(self, posed: PosedPhotos, threads: int) -> None:
+        self.posed, self._threads = posed, threads
+        self._through: list[tuple[View, list[int]]] | None = None
+
+    @cached_property
+    def bare(self) -> dict[str, Array]:
+        """Corners of the bare tags of each photo."""
+        return tags_at_place(self.posed.views, self.posed.found, self.posed.tags())
+
+    @cached_property
+    def standing(self) -> Standing:
+        """The objects."""
+        posed = self.posed
+        found = find_standing(
+            posed.views, posed.corners, posed.points, self.bare, threads=self._threads
+        )
+        logger.info("%d objects stand on the board", len(found.candidates))
+        return found
+
+    @cached_property
+    def compared(self) -> list[Comparison]:
+        """The photos against the table."""
+        views = self.posed.views
+        blocked = self.standing.hull.silhouettes(views)
+        return compare_with_table(
+            views, self.posed.corners, blocked, bare=self.bare, threads=self._threads
+        )
+
+    @cached_property
+    def shown(self) -> list[Shown]:
+        """Each object in its best photo."""
+        return best_photos(self.standing.candidates, self.posed.views)
+
+    def picks(self, folder: str = "") -> list[str]:
+        """What `--pick` is given for each object: a photo and a whole pixel of it.
+
+        Args:
+            folder: of the photos, if there are two.
+        """
+        photos = self.posed.photos
+        paths = {path.name: i for i, path in enumerate(photos.paths)}
+        words = []
+        for one in self.shown:
+            name = self.posed.views[one.photo].name
+            x, y = (round(v / photos.factor_of(paths[name])) for v in one.pixel)
+            words.append(f"{folder}/{name}:{x},{y}" if folder else f"{name}:{x},{y}")
+        return words
+
+    @property
+    def many(self) -> bool:
+        """Whether there are several objects."""
+        return len(self.standing.candidates) > 1
+
+    def check_tags(self, options: ScanOptions, candidate: Candidate | None = None) -> None:
+        """Raise an error if tags of the board are seen through the object, or through a candidate.
+
+        Raises:
+            ToolkitError: the object is transparent.
+        """
+        if options.board is None or options.revolve:
+            return
+        tags = self.posed.tags()
+        if self._through is None:
+            board = Board.read(options.board)
+            self._through = [] if board.charuco is not None else tags_through(
+                self.posed.views, tags, board.dictionary, threads=self._threads
+            )  # fmt: skip
+        caster = None if candidate is None else RayCaster(*candidate.outer, threads=1)
+        check_tags(self._through, tags, caster)
+
+    def draw(self, path: Path, names: Sequence[str] = (), folder: str = "") -> None:
+        """Write the picture of all objects: each outlined, with its number or name and its pick."""
+        picks = self.picks(folder)
+        names = names or [str(n) for n in range(1, len(picks) + 1)]
+        words = [f"{name}  --pick {pick}" for name, pick in zip(names, picks, strict=True)]
+        draw_candidates(path, self.shown, self.posed.views, words)
+
+
+def object_masks(
+    options: ScanOptions,
+    posed: PosedPhotos,
+    work: Path,
+    threads: int,
+    things: Things | None = None,
+    *,
+    folder: str = "",
+) -> list[View]:
     """Views with the mask of the object; views that do not show it are left out.
 
     Args:
@@ -43,22 +149,24 @@ def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: 
         posed: the photos.
         work: folder that keeps the masks.
         threads: to use.
+        things: what stands on the board, if that is known.
+        folder: of the photos, if there are two.
 
     Raises:
         ToolkitError: several objects or none, masks that fit no photo, or a transparent object.
     """
     views = posed.views
-    own = _own_masks(options.masks, posed)
+    own = own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    values = {"pick": options.pick, "box": options.box, "format": 13}
+    values = {"pick": options.pick, "box": options.box, "format": 14}
     artefact = Artefact(work, "masks", {"poses": posed.digest}, values, limits=LIMITS)
 
     def make() -> dict[str, Any]:
         if not posed.on_table:
             done = segment_by_border(views, threads=threads)
         else:
-            done = _on_table(options, posed, threads)
+            done = table_masks(options, things or Things(posed, threads), threads, folder)
         out = {f"mask{i}": np.packbits(v.shown) for i, v in enumerate(done)}
         for i, v in enumerate(done):
             if v.hidden is not None:
@@ -79,23 +187,27 @@ def object_masks(options: ScanOptions, posed: PosedPhotos, work: Path, threads: 
     return [v for v in done if v.shown.any()]
 
 
-def _on_table(options: ScanOptions, posed: PosedPhotos, threads: int) -> list[View]:
+def table_masks(options: ScanOptions, things: Things, threads: int, folder: str = "") -> list[View]:
+    """All views with the mask of the object on the table; arguments as of `object_masks`.
+
+    Raises:
+        ToolkitError: several objects or none, or a transparent one.
+    """
+    posed = things.posed
     views = posed.views
     pick, box = _pick(options, posed), _box(options, posed)
-    if options.board is not None and not options.revolve:
-        board = Board.read(options.board)
-        if board.charuco is None:
-            check_tags(views, posed.tags(), board.dictionary, threads=threads)
-    found, compared = standing.find_candidates(views, posed.corners, threads=threads)
-    clusters = standing.cluster_points(posed.points, views, pick=pick, box=box)
-    if clusters is not None:
-        found, chosen = clusters
-    else:
-        try:
-            chosen = standing.choose_candidate(found, views, pick=pick, box=box)
-        except ToolkitError:
-            _draw_candidates(options.out / "candidates.jpg", views, found)
-            raise
+    if not things.many:
+        # One object, unless a closer look finds more.
+        things.check_tags(options)
+        found, compared = find_candidates(views, posed.corners, things.bare, threads=threads)
+        found = sure_candidates(found, views, posed.corners, compared, things.standing.tags)
+        things.standing = replace(things.standing, candidates=found)
+    if things.many and pick is None and box is None:
+        raise _several(options, things, folder)
+    found, chosen = choose_candidate(things.standing.candidates, views, pick=pick, box=box)
+    if things.many:
+        things.check_tags(options, found[chosen])
+        compared = things.compared
     if not options.revolve:
         check_opaque(views, posed.found, *found[chosen].inner)
     done = segment_on_table(views, found, chosen, compared, threads=threads)
@@ -103,12 +215,33 @@ def _on_table(options: ScanOptions, posed: PosedPhotos, threads: int) -> list[Vi
         return done
     # Beside the coarse hull, which is too large, no table was known: look at it once more.
     blocked = [dilated(v.shown, _RIM_PX) for v in done]
-    compared = standing.compare_with_table(views, posed.corners, blocked, threads=threads)
+    compared = compare_with_table(views, posed.corners, blocked, bare=things.bare, threads=threads)
     return segment_on_table(views, found, chosen, compared, threads=threads)
 
 
-def _own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.bool_]]:
-    """Masks of the user by the name of the photo."""
+def _several(options: ScanOptions, things: Things, folder: str) -> ToolkitError:
+    """The error that says how to choose one of several objects; they are drawn."""
+    path = options.out / "candidates.jpg"
+    things.draw(path, folder=folder)
+    picks = "; ".join(f"{n}: --pick {pick}" for n, pick in enumerate(things.picks(folder), start=1))
+    problem = f"{len(things.standing.candidates)} objects stand on the board: {picks}"
+    try:
+        things.check_tags(options)
+    except ToolkitError as error:
+        # Parts of one clear object look like several.
+        problem, advice = f"{error.problem}; {problem}", f"; if it is one object: {error.hint}"
+    else:
+        advice = ""
+    hint = f"choose one of them, which {path} shows, or scan all with --all{advice}"
+    return ToolkitError(problem, hint=hint)
+
+
+def own_masks(folder: Path | None, posed: PosedPhotos) -> dict[str, NDArray[np.bool_]]:
+    """Masks of the user by the name of the photo.
+
+    Raises:
+        ToolkitError: masks that fit no photo.
+    """
     if folder is None:
         return {}
     if not folder.is_dir():
@@ -176,21 +309,6 @@ def _box(options: ScanOptions, posed: PosedPhotos) -> tuple[int, float, float, f
         return None
     i, (x0, y0, x1, y1) = _numbers(options.box, "--box", 4, posed)
     return i, x0, y0, x1, y1
-
-
-def _draw_candidates(path: Path, views: Sequence[View], candidates: Sequence[Any]) -> None:
-    view = max(views, key=lambda v: float(v.centre[2]))
-    image = view.image.copy()
-    for n, c in enumerate(candidates):
-        uv, _ = view.project(c.vertices)
-        uv = uv[np.isfinite(uv).all(axis=1)]
-        if len(uv):
-            x0, y0, x1, y1 = (int(v) for v in (*uv.min(axis=0), *uv.max(axis=0)))
-            cv2.rectangle(image, (x0, y0), (x1, y1), (255, 60, 0), 2)
-            cv2.putText(image, f"{n + 1}", (x0, y0 - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.8,
-                        (255, 60, 0), 2)  # fmt: skip
-    cv2.putText(image, view.name, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 60, 0), 2)
-    write_color(path, image)
 
 
 def both_positions(options: ScanOptions) -> tuple[ScanOptions, ScanOptions]:

@@ -16,7 +16,7 @@ from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _CELL_M = 0.001
-_MOST_CELLS = 250_000
+MOST_CELLS = 250_000
 # Spreads of the table's own colour by which a photo may differ from it; what differs by twice
 # this width is something else.
 _WIDTHS = 2.0
@@ -102,7 +102,11 @@ class TableModel:
 
 
 def model_tables(
-    views: Sequence[View], corners: Array, blocked: Sequence[Mask] | None = None
+    views: Sequence[View],
+    corners: Array,
+    blocked: Sequence[Mask] | None = None,
+    *,
+    cells: int = MOST_CELLS,
 ) -> list[TableModel]:
     """The table near the board and, if it is at rest, far around it, as low photos show it.
 
@@ -110,12 +114,14 @@ def model_tables(
         views: photos.
         corners: (M, 3) corners of the board, world.
         blocked: (H, W) pixels of each photo before which something stands.
+        cells: number of cells of each table at most.
     """
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     size = float((high - low).max())
     low, high = low - _NEAR * size, high + _NEAR * size
-    tables = [model_table(views, low, high, corners, blocked)]
-    far = model_table(views, low - _FAR * size, high + _FAR * size, corners, blocked)
+    tables = [model_table(views, low, high, corners, blocked, cells=cells)]
+    low, high = low - _FAR * size, high + _FAR * size
+    far = model_table(views, low, high, corners, blocked, cells=cells)
     return [*tables, far] if is_table(far) else tables
 
 
@@ -125,6 +131,8 @@ def model_table(
     high: Array,
     corners: Array,
     blocked: Sequence[Mask] | None = None,
+    *,
+    cells: int = MOST_CELLS,
 ) -> TableModel:
     """Colours of the table between two corners (x, y), metres.
 
@@ -133,9 +141,10 @@ def model_table(
         low, high: (2,) corners.
         corners: (M, 3) corners of the board that photos show, world: they lie on the table.
         blocked: (H, W) pixels of each photo before which something stands.
+        cells: number of cells at most.
     """
     limits = TableModelSettings.current()
-    cell = max(_CELL_M, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
+    cell = max(_CELL_M, float(np.sqrt((high - low).prod() / cells)))
     w, h = (int(n) for n in np.ceil((high - low) / cell) + 1)
     y, x = np.mgrid[:h, :w]
     points = np.stack([low[0] + x * cell, low[1] + y * cell, np.zeros(x.shape)], axis=-1)

@@ -220,30 +220,52 @@ def _figures(scan: Scan, caster: RayCaster) -> tuple[list[Figure], NDArray[np.fl
     figures = []
     residuals = []
     for i in range(0, len(scan.views), step):
-        view = scan.views[i]
-        drawn, mask = rendered(view, caster, scan.texture)
-        gain = scan.texture.gains[i]
-        drawn = np.clip(drawn * gain, 0, 255).astype(np.uint8)
-        both = mask & view.shown
-        off = np.abs(drawn.astype(np.int16) - view.image).mean(axis=-1)
-        residuals.append(off[both])
-        window = _window(mask | view.shown)
-        outlined = view.image.copy()
-        contours, _ = cv2.findContours(
-            view.shown.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-        )
-        cv2.drawContours(outlined, contours, -1, (255, 40, 40), 1)
-        difference = np.zeros_like(view.image)
-        difference[both] = cv2.applyColorMap(
-            np.clip(off * 4, 0, 255).astype(np.uint8), cv2.COLORMAP_INFERNO
-        )[..., ::-1][both]
-        difference[mask ^ view.shown] = (0, 160, 255)
-        panels = [outlined, drawn, difference, _shaded(scan, view, caster)]
-        cut = [cv2.resize(p[window], (_WIDTH, _height(window))) for p in panels]
-        data = cv2.imencode(".webp", np.hstack(cut)[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, 80])[1]
-        picture = Picture(data.tobytes(), "image/webp", 4 * _WIDTH, _height(window))
-        figures.append(Figure(picture, view.name))
+        cut, residual = _panels(scan, i, caster)
+        residuals.append(residual)
+        height = max(1, round(_WIDTH * cut[0].shape[0] / cut[0].shape[1]))
+        row = np.hstack([cv2.resize(p, (_WIDTH, height)) for p in cut])
+        data = cv2.imencode(".webp", row[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, 80])[1]
+        picture = Picture(data.tobytes(), "image/webp", 4 * _WIDTH, height)
+        figures.append(Figure(picture, scan.views[i].name))
     return figures, np.concatenate(residuals) if residuals else np.zeros(1)
+
+
+def mesh_panels(scan: Scan, photo: str) -> list[NDArray[np.uint8]]:
+    """The mesh as a photo shows it (h, w, 3): with its texture, and its shaded surface.
+
+    Args:
+        scan: the model.
+        photo: name; the first photo if the model has none of this name.
+    """
+    names = [v.name for v in scan.views]
+    i = names.index(photo) if photo in names else 0
+    panels, _ = _panels(scan, i, RayCaster(scan.vertices, scan.faces))
+    return [panels[1], panels[3]]
+
+
+def _panels(
+    scan: Scan, i: int, caster: RayCaster
+) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64]]:
+    """Photo, mesh, difference and surface around the object, and the grey values they differ by."""
+    view = scan.views[i]
+    drawn, mask = rendered(view, caster, scan.texture)
+    gain = scan.texture.gains[i]
+    drawn = np.clip(drawn * gain, 0, 255).astype(np.uint8)
+    both = mask & view.shown
+    off = np.abs(drawn.astype(np.int16) - view.image).mean(axis=-1)
+    outlined = view.image.copy()
+    contours, _ = cv2.findContours(
+        view.shown.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    cv2.drawContours(outlined, contours, -1, (255, 40, 40), 1)
+    difference = np.zeros_like(view.image)
+    difference[both] = cv2.applyColorMap(
+        np.clip(off * 4, 0, 255).astype(np.uint8), cv2.COLORMAP_INFERNO
+    )[..., ::-1][both]
+    difference[mask ^ view.shown] = (0, 160, 255)
+    window = _window(mask | view.shown)
+    panels = [outlined, drawn, difference, _shaded(scan, view, caster)]
+    return [p[window] for p in panels], off[both]
 
 
 def _shaded(scan: Scan, view: View, caster: RayCaster) -> NDArray[np.uint8]:
@@ -272,8 +294,3 @@ def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
         slice(max(0, rows[0] - margin), rows[-1] + margin),
         slice(max(0, columns[0] - margin), columns[-1] + margin),
     )
-
-
-def _height(window: tuple[slice, slice]) -> int:
-    rows, columns = window
-    return max(1, round(_WIDTH * (rows.stop - rows.start) / (columns.stop - columns.start)))

@@ -18,7 +18,7 @@ class PosedPhotos:
     Attributes:
         views: photos without lens distortion, in the frame of the board.
         corners: of the board on the table, metres.
-        ids: of these corners; four to a tag.
+        ids: of these corners, four to a tag; empty if unknown.
         points: (P, 3) of the reconstruction, metres.
         on_table: whether a board on a table was in sight.
         facts: name and value of what was measured so far.
@@ -40,7 +40,9 @@ class PosedPhotos:
     ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def tags(self) -> dict[int, Array]:
-        """Corners (4, 3) of each tag in the world."""
+        """Corners (4, 3) of each tag in the world; none without ids."""
+        if not len(self.ids):
+            return {}
         whole = [int(i) for i in self.ids[self.ids % 4 == 0]]
         places = {int(i): xyz for i, xyz in zip(self.ids, self.corners, strict=True)}
         return {i // 4: np.stack([places[i + k] for k in range(4)]) for i in whole}

@@ -12,6 +12,9 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import Settings, limit
 
+# A box that is nearer to the camera, or behind it, may be anywhere in the photo.
+_NEAREST_M = 0.01
+
 
 @dataclass(frozen=True, kw_only=True)
 class VisibilitySettings(Settings):
@@ -33,17 +36,42 @@ def hull_depth(
         window: x0, y0, x1, y1.
     """
     x0, y0, x1, y1 = window
-    u, v = np.meshgrid(np.arange(x0, x1), np.arange(y0, y1))
+    depth = np.zeros((y1 - y0, x1 - x0), np.float32)
+    normal = np.zeros((y1 - y0, x1 - x0, 3), np.float32)
+    # No ray beside the box around the surface can meet it.
+    left, top, right, bottom = _within(view, caster.bounds + offset, window)
+    if left >= right or top >= bottom:
+        return depth, normal
+    place = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
+    u, v = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
     local = view.camera.unproject(np.stack([u, v], axis=-1))
     rays = np.empty((*u.shape, 6), np.float32)
     rays[..., :3] = view.centre - offset
     rays[..., 3:] = local @ view.T_world_cam.R.T
     hits = caster.cast(rays)
-    depth = np.where(np.isfinite(hits.distance), hits.distance, 0).astype(np.float32)
-    normal = (hits.normal @ view.T_world_cam.R).astype(np.float32)
-    flip = (normal * local).sum(axis=-1) > 0
-    normal[flip] *= -1
+    hit = np.isfinite(hits.distance)
+    depth[place] = np.where(hit, hits.distance, 0)
+    turned = (hits.normal @ view.T_world_cam.R).astype(np.float32)
+    turned[(turned * local).sum(axis=-1) > 0] *= -1
+    normal[place] = turned
     return depth, normal
+
+
+def _within(
+    view: View, bounds: Array, window: tuple[int, int, int, int]
+) -> tuple[int, int, int, int]:
+    """The part of a window of a photo without lens distortion that may show a box (2, 3), world."""
+    x0, y0, x1, y1 = window
+    if not np.isfinite(bounds).all():
+        return x0, y0, x0, y0
+    corners = np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(-1, 3)
+    uv, z = view.project(corners)
+    if not (z > _NEAREST_M).all():
+        return window
+    low, high = np.floor(uv.min(axis=0)) - 1, np.ceil(uv.max(axis=0)) + 2
+    left, top = np.clip(low, (x0, y0), (x1, y1)).astype(int)
+    right, bottom = np.clip(high, (x0, y0), (x1, y1)).astype(int)
+    return int(left), int(top), int(right), int(bottom)
 
 
 def depth_of(view: View, caster: RayCaster) -> Floats:

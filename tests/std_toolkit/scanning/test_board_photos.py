@@ -16,7 +16,7 @@ from std_toolkit.io.images import write_color, write_png
 from std_toolkit.poses.board_scale import BoardDetection
 from std_toolkit.poses.board_sheet import make_board_sheet
 from std_toolkit.scanning.board.board_photos import check_layout, check_zoom
-from std_toolkit.scanning.masks.object_masks import _own_masks
+from std_toolkit.scanning.masks.object_masks import own_masks
 from std_toolkit.scanning.photos.photos import Photos
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
@@ -112,9 +112,9 @@ def test_the_hint_on_masks_names_the_right_files(tmp_path: Path) -> None:
         warnings=[], digest="", photos=Photos((), (), (64, 48), 1.0),
     )  # fmt: skip
     with pytest.raises(ToolkitError, match=r"such as 000000\.png$"):
-        _own_masks(tmp_path, posed)
+        own_masks(tmp_path, posed)
     write_png(tmp_path / "000000.png", np.full((48, 64), 255, np.uint8))
-    assert _own_masks(tmp_path, posed)["000000.jpg"].all()
+    assert own_masks(tmp_path, posed)["000000.jpg"].all()
 
 
 def test_a_folder_that_is_not_there_is_called_so(

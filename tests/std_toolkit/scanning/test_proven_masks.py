@@ -8,8 +8,9 @@ import pytest
 pytest.importorskip("manifold3d")
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.scanning.masks.candidates import _inner, choose_candidate, find_candidates
+from std_toolkit.scanning.masks.candidates import _inner, find_candidates
 from std_toolkit.scanning.masks.proven_masks import segment_on_table, without_islands
+from std_toolkit.scanning.masks.standing import choose_candidate
 from std_toolkit.scanning.photos.views import Grid
 from tests.std_toolkit.scanning.test_table_model import CORNERS, HIGH, photos_of_a_box
 
@@ -47,7 +48,7 @@ def test_a_panel_of_the_colour_of_the_table_stays_in_the_mask() -> None:
     found, compared = find_candidates(views, CORNERS, threads=1)
     assert len(found) == 1
     middle, _ = views[0].project(np.array([[0.0, 0.0, HIGH / 2]]))
-    assert choose_candidate(found, views, pick=(0, *middle[0])) == 0
+    assert choose_candidate(found, views, pick=(0, *middle[0]))[1] == 0
     with pytest.raises(ToolkitError, match="no object at this pixel"):
         choose_candidate(found, views, pick=(0, 2.0, 2.0))
     done = segment_on_table(views, found, 0, compared, threads=1)

@@ -206,7 +206,8 @@ def test_a_ball_is_a_surface_of_revolution() -> None:
         warnings=[], digest="", photos=scan_step.photo_files.Photos((), (), (160, 120), 1.0),
     )  # fmt: skip
     found = scan_step.fit_revolution(scan_step._outline_views(views))
-    vertices, faces, support = scan_step._revolved(found, posed)
+    surface = scan_step._revolved(found, posed)
+    vertices, faces, support = surface.vertices, surface.faces, surface.support
     assert not support.any()
     assert len(support) == len(faces)
     assert np.linalg.norm(vertices[:, :2] - CENTRE[:2], axis=1).max() == pytest.approx(

@@ -14,7 +14,12 @@ pytest.importorskip("manifold3d")
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Camera
 from std_toolkit.poses.board_sheet import DICTIONARY, make_board_sheet
-from std_toolkit.scanning.board.tags_through import FoundTag, check_tags, displaced_tags
+from std_toolkit.scanning.board.tags_through import (
+    FoundTag,
+    check_tags,
+    displaced_tags,
+    tags_through,
+)
 from std_toolkit.scanning.photos.views import View
 from tests.std_toolkit.scanning.ball import look_at
 from tests.std_toolkit.scanning.vessels import WHISKY, WHISKY_INSIDE, turned
@@ -104,13 +109,13 @@ def with_object(view: View, kind: str) -> View:
 @pytest.mark.parametrize("kind", ["nothing", "black", "checks", "steel"])
 def test_opaque_objects_are_not_refused(kind: str) -> None:
     views = [with_object(v, kind) for v in bare_views()]
-    check_tags(views, tags(), DICTIONARY, threads=1)
+    check_tags(tags_through(views, tags(), DICTIONARY, threads=1), tags())
 
 
 def test_glass_is_refused_with_the_photos_and_the_way_out() -> None:
     views = [with_object(v, "glass") for v in bare_views()]
     with pytest.raises(ToolkitError, match=r"transparent: \d photos show \d+ tags.*--revolve"):
-        check_tags(views, tags(), DICTIONARY, threads=1)
+        check_tags(tags_through(views, tags(), DICTIONARY, threads=1), tags())
 
 
 def test_a_sheet_with_a_tag_elsewhere_is_not_glass() -> None:
@@ -118,7 +123,8 @@ def test_a_sheet_with_a_tag_elsewhere_is_not_glass() -> None:
     moved = tags()
     for tag in (0, 1, 5):
         moved[tag] = moved[tag] + [0.004, 0.004, 0]
-    check_tags([with_object(v, "black") for v in bare_views()], moved, DICTIONARY, threads=1)
+    views = [with_object(v, "black") for v in bare_views()]
+    check_tags(tags_through(views, moved, DICTIONARY, threads=1), moved)
 
 
 def test_few_displaced_tags_are_told_from_many_that_lie_elsewhere() -> None:
