@@ -8,6 +8,7 @@ import trimesh
 
 pytest.importorskip("manifold3d")
 
+from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.scanning.masks.hull import hull_field
 from std_toolkit.scanning.photos.views import Grid, View
@@ -35,6 +36,10 @@ def test_a_plain_block_fits_in_several_turns() -> None:
     assert turn.by == "shape"
     assert turn.ambiguous
     assert "not measured" in turn.facts()["turned over residual"]
+    ball = trimesh.creation.icosphere(3, radius=0.03).apply_translation([0, 0, 0.03])
+    third = without_depth(photos(ball, SE3.identity(), plain))
+    with pytest.raises(ToolkitError, match=r"no turn of the object.*photograph the same object"):
+        find_turn(first, surface, third, side_surface(third, 70, 1))
 
 
 @pytest.mark.parametrize(("twice", "repeats"), [(True, True), (False, False)])

@@ -131,7 +131,7 @@ def test_the_turn_is_found_by_features_and_the_underside_is_real(tmp_path: Path)
     assert np.median(RayCaster(both.vertices, both.faces).distance(dent)) < 0.001
 
 
-@pytest.mark.slow
+@pytest.mark.long  # `test_repeated_turns` has it in short
 def test_a_plain_block_is_ambiguous_and_another_object_refused(tmp_path: Path) -> None:
     block = trimesh.creation.box((0.08, 0.05, 0.06)).apply_translation([0, 0, 0.03])
     (first, second), (surface, other) = positions(block, standing(block, OVER), plain, tmp_path)
