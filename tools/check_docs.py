@@ -36,7 +36,7 @@ API: dict[str, tuple[str, dict[str, list[str]]]] = {
                 *("PropagateOptions", "propagate_labels", "refine_labels", "RenderOptions"),
                 *("render_ground_truth", "rendered_frames", "read_ground_truth", "CheckOptions"),
                 *("run_check", "ExportOptions", "export_scene", "JobOptions"),
-                *("ScanOptions", "scan"),
+                *("ScanOptions", "scan", "scan_all"),
             ],
             "std_toolkit.cameras": ["LiveFrame", "CameraRequest", "LiveCamera"],
             "std_toolkit.importers.importer": ["Importer", "Recording", "SourceFrame"],
