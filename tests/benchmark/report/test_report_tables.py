@@ -161,7 +161,7 @@ def test_latex_has_no_bare_specials() -> None:
 def test_latex_is_balanced(results: Path) -> None:
     text = file(make_board(read_results([results]), samples=50), LATEX)
     body = [line for line in text.splitlines() if " & " in line]
-    assert {line.count(" & ") for line in body} == {len(BOARD) + 2}
+    assert {line.count(" & ") for line in body} == {len(BOARD) + 3}  # with the notes
     assert all(line.endswith(r"\\") for line in body)
     assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
     assert not re.search(r"(?<!\\)[%_#]", "\n".join(text.splitlines()[1:]))
