@@ -2,7 +2,7 @@
 
 A hole is closed by a fan of triangles around the middle of its rim. Only caps that hardly change
 what cameras see are made: small ones, and those that face the table. The opening of a bowl that is
-one triangle thick is none of them: such a mesh stays open, and the reason is told.
+one triangle thick is none of them: such a mesh stays open, with the reason.
 """
 
 from __future__ import annotations

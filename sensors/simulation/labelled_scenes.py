@@ -105,7 +105,7 @@ class SceneFolder:
         """Read the scene.
 
         Args:
-            frames: keep at most so many, evenly spaced.
+            frames: largest number of frames, evenly spaced.
 
         Raises:
             ToolkitError: a document or a mesh cannot be used, no object has a pose in any frame, or

@@ -97,7 +97,31 @@ def simulate_set(
     """
     jobs = jobs or JobOptions()
     _check(seeds, split, layouts)
-    # Check once at the start, not once per scene.
+    begin_set(out, options, renderer)
+    missing = [s for s in seeds if _missing(out, s, split, layouts)]
+    check_room(out, options, len(missing), layouts)
+    simulate = partial(
+        _simulate_scene,
+        out=out,
+        options=options,
+        split=split,
+        layouts=tuple(layouts),
+        renderer=renderer,
+        cache=cache or parts_cache(),
+        threads=threads_each(jobs, len(missing)),
+    )
+    if kept := len(seeds) - len(missing):
+        logger.info("%d of %d scenes are there already", kept, len(seeds))
+    return run_jobs(simulate, list(seeds), name="simulate", key=scene_name, options=jobs)
+
+
+def begin_set(out: Path, options: SimulationOptions, renderer: str) -> None:
+    """Check once, not once per scene, what the options name, and record them in the set.
+
+    Raises:
+        ToolkitError: another set exists at `out`, or the sensor, the quality or the renderer cannot
+            be used.
+    """
     Equipment.of(options)
     quality_of(options.quality)
     SIM_RENDERERS.get(renderer)
@@ -109,22 +133,11 @@ def simulate_set(
         hint="choose another folder, or the options that it was begun with",
     )
     refuse_links(out)
-    missing = [s for s in seeds if _missing(out, s, split, layouts)]
-    check_room(out, options, len(missing), layouts)
-    cores = usable_cores()
-    simulate = partial(
-        _simulate_scene,
-        out=out,
-        options=options,
-        split=split,
-        layouts=tuple(layouts),
-        renderer=renderer,
-        cache=cache or parts_cache(),
-        threads=max(1, cores // max(1, min(jobs.worker_count, len(missing) or 1))),
-    )
-    if kept := len(seeds) - len(missing):
-        logger.info("%d of %d scenes are there already", kept, len(seeds))
-    return run_jobs(simulate, list(seeds), name="simulate", key=scene_name, options=jobs)
+
+
+def threads_each(jobs: JobOptions, count: int) -> int:
+    """Threads for each of the scenes that are made at a time, of `count`."""
+    return max(1, usable_cores() // max(1, min(jobs.worker_count, count or 1)))
 
 
 def parts_cache() -> Path:

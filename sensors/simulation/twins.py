@@ -23,9 +23,7 @@ from sensors.materials.material_draw import DrawnMaterial, plain_look
 from sensors.output.scene_record import SceneRecord
 from sensors.output.simulated_frame import SimulatedFrame, SimulatedObject, SimulatedScene
 from sensors.output.toolkit_scene import KeptLabels, MetricObject, read_simulation, toolkit_scene
-from sensors.render.sim_renderer import SIM_RENDERERS, quality_of
 from sensors.render.sim_scene import SimScene
-from sensors.simulation.equipment import Equipment
 from sensors.simulation.labelled_scenes import (
     LabelledFrame,
     LabelledScene,
@@ -35,26 +33,22 @@ from sensors.simulation.labelled_scenes import (
 from sensors.simulation.options import SimulationOptions, TwinName
 from sensors.simulation.scene_draw import dress_scene
 from sensors.simulation.simulated_set import (
-    SET_FILE,
     SceneTimes,
-    SetRecord,
+    begin_set,
     check_room,
     parts_cache,
+    threads_each,
 )
 from sensors.simulation.simulator import Simulator
 from sensors.simulation.stills import Still, plane_under, stills
 from sensors.simulation.turntable_objects import mesh_object
 from sensors.simulation.world_builder import World, looks_of
-from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import nocs_frame
 from std_toolkit.importers.foreign_files import mesh_suffix
-from std_toolkit.io.atomic import refuse_links
 from std_toolkit.jobs import JobOptions, JobReport, run_jobs
-from std_toolkit.jobs.artefact import begin
 from std_toolkit.log import logger
-from std_toolkit.options import usable_cores
 from std_toolkit.scene.model import CATEGORY_CLASS_IDS, Labels
 
 # Formats of meshes in scenes that need no other file.
@@ -80,7 +74,7 @@ def simulate_twins(
         twins: materials, one scene each.
         options: of the set; `views` is the largest number of frames of a scene.
         seed: of floor, light and noise, together with the name of a scene.
-        scenes: make at most so many, the first ones.
+        scenes: largest number of scenes, the first ones.
         renderer: plug-in.
         jobs: where it runs.
 
@@ -91,18 +85,8 @@ def simulate_twins(
     jobs = jobs or JobOptions()
     # The folder by name: folders move. Each scene knows its source by content.
     options = msgspec.structs.replace(options, scenes_from=source.resolve().name)
-    Equipment.of(options)
-    quality_of(options.quality)
-    SIM_RENDERERS.get(renderer)
     found = find_labelled(source)[:scenes]
-    begin(
-        out / SET_FILE,
-        SetRecord(version_of_tool=__version__, renderer=renderer, options=options),
-        within=("options", "renderer"),
-        what="this set was",
-        hint="choose another folder, or the options that it was begun with",
-    )
-    refuse_links(out)
+    begin_set(out, options, renderer)
     items = [(where, twin) for where in found for twin in twins]
     missing = [item for item in items if not twin_folder(out, *item).is_dir()]
     check_room(out, options, len(missing), ("scene",))
@@ -114,7 +98,7 @@ def simulate_twins(
         options=options,
         seed=seed,
         renderer=renderer,
-        threads=max(1, usable_cores() // max(1, min(jobs.worker_count, len(missing) or 1))),
+        threads=threads_each(jobs, len(missing)),
     )
     return run_jobs(
         make, items, name="twins", key=lambda item: f"{item[1]}/{item[0].name}", options=jobs

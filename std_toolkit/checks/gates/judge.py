@@ -21,7 +21,6 @@ from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.placements import with_placements
 from std_toolkit.checks.measure.sensor_depth import common_depth_shift
 from std_toolkit.checks.measure.standing import standing_of, with_standing
-from std_toolkit.checks.measure.surface_motion import with_surface_motions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Scene
@@ -110,7 +109,7 @@ def judge_scene(
     planes = standing_of(scene, objects, up)
     judged = [o for o in objects if only is None or o.object in only]
     moved = with_motions(scene, judged, observed, options, up=planes.up)
-    solved = {o.object: o for o in with_surface_motions(scene, moved, observed)}
+    solved = {o.object: o for o in moved}
     objects = [solved.get(o.object, o) for o in objects]
     objects = with_placements(scene, objects)
     objects = with_standing(scene, objects, planes)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
+from std_toolkit.checks.measure.motion import motion_value
 from std_toolkit.checks.measure.motion_solver import symmetry_motions, without_free
 from std_toolkit.checks.result import ObjectCheck, Value
 from std_toolkit.errors import ToolkitError
@@ -24,8 +25,6 @@ from std_toolkit.labels.auto_refine import RefinedPose, refine_objects
 from std_toolkit.labels.refine.directions import covariance_at
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
-
-_UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
 
 
 def measure_alignments(scene: Scene, frame: Frame) -> dict[int, Value]:
@@ -79,16 +78,7 @@ def _value(scene: Scene, object_id: int, label: SE3, refined: RefinedPose) -> Va
     covariance = R @ covariance_at(refined.covariance, middle) @ R.T
     centre = object_centre(scene, object_id)
     kept = without_free(symmetry_motions(symmetry, label, centre))
-    motion = (kept @ motion) * _UNITS
-    covariance = (kept @ covariance @ kept.T) * np.outer(_UNITS, _UNITS)
-    return Value(
-        key="aligned_mm",
-        value=round(float(np.linalg.norm(motion[:3])), 2),
-        std=round(float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])), 2),
-        unit="mm",
-        source="depth",
-        frames=refined.views,
-        text=refined.method,
-        motion=[round(float(x), 3) for x in motion],
-        covariance=[float(f"{x:.6g}") for x in covariance.ravel()],
-    )
+    return motion_value(
+        "aligned_mm", "depth", kept @ motion, kept @ covariance @ kept.T,
+        frames=refined.views, text=refined.method,
+    )  # fmt: skip

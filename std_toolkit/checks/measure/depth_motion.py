@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.array_file import ArrayFile, FiledArray
+from std_toolkit.checks.measure.motion import motion_value
 from std_toolkit.checks.measure.motion_solver import without_free
 from std_toolkit.checks.measure.sensor_depth import SensorDepthSettings, inner_part
 from std_toolkit.checks.result import Value
@@ -26,7 +27,6 @@ from std_toolkit.geometry.camera import pixel_rays
 from std_toolkit.labels.refine.edges.uncertainty import disagreement
 from std_toolkit.settings import Settings, limit
 
-_UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
 _LARGEST_SAMPLE = 400
 # Translation, rotation, factor of the depth, shift of its image along x and y.
 _UNKNOWNS = 9
@@ -192,18 +192,8 @@ def depth_motion(
     x = part * inverse @ pull
     covariance = inverse + part**2 * inverse @ sum(moved) @ inverse
     kept = without_free(free)
-    covariance = kept @ covariance[:6, :6] @ kept.T
-    motion, covariance = (kept @ x[:6]) * _UNITS, covariance * np.outer(_UNITS, _UNITS)
-    return Value(
-        key="surface_mm",
-        value=round(float(np.linalg.norm(motion[:3])), 2),
-        std=round(float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])), 2),
-        unit="mm",
-        source="depth",
-        frames=len(equations),
-        motion=[round(float(v), 3) for v in motion],
-        covariance=[float(f"{v:.6g}") for v in covariance.ravel()],
-    )
+    motion, covariance = kept @ x[:6], kept @ covariance[:6, :6] @ kept.T
+    return motion_value("surface_mm", "depth", motion, covariance, frames=len(equations))
 
 
 def _prior() -> Array:

@@ -22,11 +22,14 @@ from numpy.typing import NDArray
 from std_toolkit.checks.measure.array_file import ArrayFile, FiledArray
 from std_toolkit.checks.measure.contours import Contour
 from std_toolkit.checks.measure.edges import Profiles, edge_peaks
+from std_toolkit.checks.result import Source, Value
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 Array = NDArray[np.float64]
 
+# From metres and radians to the millimetres and degrees of reports.
+REPORTED = np.array([1000.0] * 3 + [180 / np.pi] * 3)
 _LARGEST_SAMPLE = 120
 _EDGES_PER_POINT = 4
 # Six of a motion, and the size.
@@ -237,4 +240,27 @@ def motion_equations(
         np.maximum(count / reach, 0.02).astype(np.float32),
         jacobian.astype(np.float32),
         float(contour.own.sum()),
+    )
+
+
+def motion_value(
+    key: str, source: Source, motion: Array, covariance: Array, *, frames: int, text: str = ""
+) -> Value:
+    """The value of a report for a motion: its length, and the largest deviation of a translation.
+
+    Args:
+        key, source, frames, text: of the value.
+        motion, covariance: (6,) and (6, 6), metres and radians.
+    """
+    moved, known = motion * REPORTED, covariance * np.outer(REPORTED, REPORTED)
+    return Value(
+        key=key,
+        value=round(float(np.linalg.norm(moved[:3])), 2),
+        std=round(float(np.sqrt(np.linalg.eigvalsh(known[:3, :3])[-1])), 2),
+        unit="mm",
+        source=source,
+        frames=frames,
+        text=text,
+        motion=[round(float(x), 3) for x in moved],
+        covariance=[float(f"{x:.6g}") for x in known.ravel()],
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.aggregate import AggregateSettings, in_mm, known_values, rounded
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
+from std_toolkit.checks.measure.depth_motion import depth_motion
 from std_toolkit.checks.measure.edges import Consistency, fit_consistency
 from std_toolkit.checks.measure.motion import (
     FiledEquations,
@@ -97,7 +98,8 @@ def with_motions(
     *,
     up: Array,
 ) -> list[ObjectCheck]:
-    """The rows of the objects with their motion, size and confirmation; `up` as in the world."""
+    """The rows of the objects with their motions by contour and by sensor depth, size and
+    confirmation; `up` as in the world."""
     return [
         _with_motion(
             scene,
@@ -122,15 +124,13 @@ def _with_motion(
         return item
     if mesh_problem(scene, item.model) is not None:
         return item
-    rows: dict[int, _Equations] = {}
-    judged: dict[int, _Equations] = {}
+    least = AggregateSettings.current().judged_fraction
     centre = object_centre(scene, item.object)
-    for frame in observed:
-        seen = frame.objects.get(item.object)
-        if seen is not None and seen.motion is not None:
-            rows[frame.frame] = seen.motion
-            if seen.visible_fraction >= AggregateSettings.current().judged_fraction:
-                judged[frame.frame] = seen.motion
+    shown = {f.frame: o for f in observed if (o := f.objects.get(item.object)) is not None}
+    well = {i: o for i, o in shown.items() if o.visible_fraction >= least}
+    rows = {i: o.motion for i, o in shown.items() if o.motion is not None}
+    judged = {i: rows[i] for i in well if i in rows}
+    read = {i: o.surface for i, o in well.items() if o.surface is not None}
     symmetry = scene.objects.model(item.model).symmetry.symmetry()
     free = symmetry_motions(symmetry, T_world_obj, centre)
     equations = list(judged.values())
@@ -139,9 +139,11 @@ def _with_motion(
         item, frames=[_frame_row(row, rows.get(row.frame), free) for row in item.frames]
     )
     item = item.with_values([_diameter(scene, item)])
-    return moved_item(
+    item = moved_item(
         item, equations, free, options, axes=T_world_obj.R, shared=shared, cameras=cameras
     )
+    surface = depth_motion(list(read.values()), free, seen_errors(scene, read, centre))
+    return item if surface is None else item.with_values([surface])
 
 
 def moved_item(

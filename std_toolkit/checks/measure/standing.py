@@ -16,14 +16,14 @@ import numpy as np
 from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.contours import mesh_problem, object_centre
 from std_toolkit.checks.measure.coverage import seen_from_above
-from std_toolkit.checks.measure.motion_solver import symmetry_motions
+from std_toolkit.checks.measure.motion import REPORTED
+from std_toolkit.checks.measure.motion_solver import symmetry_motions, without_free
 from std_toolkit.checks.result import ObjectCheck, Value
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.support.solid import PlacedObject
 from std_toolkit.scene import Scene
 from std_toolkit.settings import Settings, limit
 
-_UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
 # What nothing is known of has this deviation: no label is as far off.
 _OPEN = np.array([0.03] * 3 + [0.3] * 3)
 
@@ -274,10 +274,9 @@ def _motion(foot: Foot, plane: _Plane, centre: Array, free: Array) -> Value | No
     covariance = inverse + own**2 * np.outer(shared, shared)
     covariance += by_plane @ plane.covariance @ by_plane.T
     covariance[3:, 3:] += limits.level_std_rad**2 * (np.eye(3) - np.outer(normal, normal))
-    if len(free):
-        kept = np.eye(6) - free.T @ np.linalg.pinv(free @ free.T) @ free
-        motion, covariance = kept @ motion, kept @ covariance @ kept
-    motion, covariance = motion * _UNITS, covariance * np.outer(_UNITS, _UNITS)
+    kept = without_free(free)
+    motion, covariance = kept @ motion, kept @ covariance @ kept
+    motion, covariance = motion * REPORTED, covariance * np.outer(REPORTED, REPORTED)
     up_mm = float(np.sqrt(max(float(normal @ covariance[:3, :3] @ normal), 0.0)))
     return Value(
         key="standing_mm",

@@ -9,6 +9,7 @@ import numpy as np
 
 from std_toolkit.checks import result
 from std_toolkit.checks.measure.contours import mesh_problem
+from std_toolkit.checks.measure.motion import motion_value
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.checks.measure.shared_errors import seen_errors
 from std_toolkit.geometry import SE3
@@ -23,8 +24,6 @@ from std_toolkit.labels.texture.motion import TextureMotion, texture_motion
 from std_toolkit.labels.texture_step import scene_views
 from std_toolkit.scene import Frame, Scene
 
-# Millimetres and degrees of metres and radians.
-_UNITS = np.array([1000.0] * 3 + [180 / np.pi] * 3)
 _MOTION_VIEWS = 8
 
 
@@ -114,7 +113,10 @@ def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> re
         return item
     found = finding.comparison
     if finding.motion is not None:
-        item = item.with_values([_motion(finding.motion)])
+        at = finding.motion
+        item = item.with_values(
+            [motion_value("texture_mm", "texture", at.vector, at.covariance, frames=len(at.frames))]
+        )
     return item.with_values(
         [
             result.Value(
@@ -133,21 +135,6 @@ def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> re
             ),
             result.Value(key="texture_says", source="texture", text=found.sentence()),
         ]
-    )
-
-
-def _motion(found: TextureMotion) -> result.Value:
-    vector = found.vector * _UNITS
-    covariance = found.covariance * np.outer(_UNITS, _UNITS)
-    return result.Value(
-        key="texture_mm",
-        value=round(float(np.linalg.norm(vector[:3])), 2),
-        std=round(float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])), 2),
-        unit="mm",
-        source="texture",
-        frames=len(found.frames),
-        motion=[round(float(x), 3) for x in vector],
-        covariance=[float(f"{x:.6g}") for x in covariance.ravel()],
     )
 
 

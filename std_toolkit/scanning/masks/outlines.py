@@ -16,7 +16,7 @@ from std_toolkit.scanning.masks.candidates import Candidate
 from std_toolkit.scanning.masks.standing import Pick
 from std_toolkit.scanning.photos.views import View
 
-# Every so many pixels of a photo are compared with the candidates.
+# Step in pixels between those of a photo that are compared with the candidates.
 _EVERY = 4
 # Width and height of the pictures of candidates, and pictures in a row.
 _WIDTH, _HEIGHT, _ABREAST = 480, 320, 3
