@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections import Counter
 from pathlib import Path
 from types import ModuleType
 
@@ -132,6 +133,12 @@ def test_a_limit_outside_of_settings_is_seen(structure: ModuleType, made_up: Pat
     )
     names = structure.count(made_up)["limits outside of settings"]
     assert names == ["std_toolkit.checks.f._FAR", "std_toolkit.checks.f._NEAR"]
+
+
+def test_files_of_tests_have_names_of_their_own() -> None:
+    """Folders of tests are no packages: pytest collects one file of a name and fails on the next."""
+    names = Counter(path.name for path in (REPOSITORY / "tests").rglob("test_*.py"))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ def test_residuals_come_by_themselves_and_go_when_the_object_moves(bench: Bench)
     rows = bench.space.objects.model.rows
     assert rows[0].badge.endswith("px")
     assert rows[0].grade == "fits"
-    assert panel.summary.text().startswith("It fits: its contour confirms it to ±")
+    assert panel.summary.text().startswith("It fits: contour and depth confirm it to ±")
     assert "etter than" in panel.summary.text()
     assert "is not determined: geometry cannot tell it" in panel.summary.text()
     bench.press(Qt.Key.Key_Right)
