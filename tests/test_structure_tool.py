@@ -136,7 +136,7 @@ def test_a_limit_outside_of_settings_is_seen(structure: ModuleType, made_up: Pat
 
 
 def test_files_of_tests_have_names_of_their_own() -> None:
-    """Folders of tests are no packages: pytest collects one file of a name and fails on the next."""
+    """Folders of tests are no packages: pytest reads one file of a name and fails on others."""
     names = Counter(path.name for path in (REPOSITORY / "tests").rglob("test_*.py"))
     assert [name for name, count in names.items() if count > 1] == []
 
