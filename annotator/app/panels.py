@@ -1,4 +1,4 @@
-"""Content of the panels: residuals with a verdict, clicked points, marks on the frame slider."""
+"""Content of the panels: residuals, clicked points, marks on the frame slider."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from annotator.app.controller import Controller
-from annotator.app.verdicts import Grade, depth_grade, edge_grade, object_verdict
+from annotator.app.verdicts import Grade, depth_grade, edge_grade
 from std_toolkit.settings import Settings, limit
 
 if TYPE_CHECKING:
@@ -65,13 +65,6 @@ def _residual_row(row: FrameResidual) -> ResidualRow:
         depth_grade=depth_grade(row) or "unknown",
         problem=row.problem,
     )
-
-
-def verdict(c: Controller) -> str:
-    """Return a sentence on whether the selected object fits."""
-    if c.selected is None:
-        return "Select an object to see how well it fits."
-    return object_verdict(c, c.selected).text
 
 
 def weak_direction(c: Controller) -> str:

@@ -7,7 +7,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 
 from annotator.app.controller import Controller
-from annotator.app.panels import ResidualRow, residual_rows, verdict, weak_direction
+from annotator.app.panels import ResidualRow, residual_rows
 from annotator.app.verdicts import VerdictSettings
 from annotator.qt import theme
 from annotator.qt.commands import Commands
@@ -17,7 +17,7 @@ from annotator.qt.panel import Panel, label, number_table, tool_button
 class ResidualPanel(Panel):
     """Table with one row per shown frame."""
 
-    KINDS = ("edited", "selected", "residuals", "verdict")
+    KINDS = ("edited", "selected", "residuals")
 
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__(controller)
@@ -27,11 +27,6 @@ class ResidualPanel(Panel):
         self.table.setSelectionMode(QtWidgets.QAbstractItemView.SelectionMode.NoSelection)
         self.table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.summary = QtWidgets.QLabel()
-        self.summary.setWordWrap(True)
-        self.weak = QtWidgets.QLabel()
-        self.weak.setWordWrap(True)
-        self.weak.setStyleSheet(f"color: {theme.WARNING}")
         legend = label("muted", _legend())
         legend.setWordWrap(True)
         legend.setAlignment(Qt.AlignmentFlag.AlignTop)
@@ -46,9 +41,7 @@ class ResidualPanel(Panel):
         layout.setContentsMargins(6, 6, 6, 4)
         layout.setSpacing(4)
         layout.addWidget(tool_button(commands.actions["residuals"], labelled=True))
-        layout.addWidget(self.summary)
         layout.addWidget(self.table, 3)
-        layout.addWidget(self.weak)
         layout.addWidget(scroll, 2)
         self.follow()
 
@@ -59,9 +52,6 @@ class ResidualPanel(Panel):
         for i, row in enumerate(rows):
             self._fill(i, row)
         self.table.setVisible(bool(rows))
-        self.summary.setText(verdict(c))
-        self.weak.setText(weak_direction(c))
-        self.weak.setVisible(bool(self.weak.text()))
 
     def _fill(self, i: int, row: ResidualRow) -> None:
         cells = [str(row.frame), row.edges, row.chance, row.depth]

@@ -121,6 +121,8 @@ QStatusBar {{ background: {WINDOW}; border-top: 1px solid {BORDER}; }}
 QStatusBar::item {{ border: 0; }}
 QLabel#muted {{ color: {MUTED}; }}
 QLabel#heading {{ font-weight: 600; }}
+QLabel#word {{ font-size: 17pt; font-weight: 600; }}
+QPushButton#small {{ padding: 0px 6px; }}
 QLabel#empty {{ color: {MUTED}; padding: 10px; }}
 QLabel#title {{ font-size: 20pt; font-weight: 300; }}
 QListWidget#roomy::item {{ padding: 5px 4px; border-radius: 3px; }}

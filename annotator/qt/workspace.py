@@ -11,6 +11,7 @@ from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.qt import (
     commands,
+    evidence_panel,
     frame_bar,
     library_panel,
     messages,
@@ -54,16 +55,26 @@ class Workspace(QWidget):
         self.library = library_panel.LibraryPanel(controller, self.commands)
         self.pose = pose_panel.PosePanel(controller, self.commands)
         self.points = points_panel.PointsPanel(controller, self.commands)
+        self.evidence = evidence_panel.EvidencePanel(controller, self.commands)
         self.residuals = residual_panel.ResidualPanel(controller, self.commands)
         self.tabs = QTabWidget()
         self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        for page in (self.points, self.residuals):
+        for page in (self.library, self.points, self.residuals):
             # Large size hints of hidden pages must not limit the others.
             page.setMinimumHeight(1)
+        self.tabs.addTab(self.library, "Meshes")
         self.tabs.addTab(self.pose, "Pose")
         self.tabs.addTab(self.points, "Points")
         self.tabs.addTab(self.residuals, "Residuals")
+
+        # The verdict is the first thing that is seen of an object.
+        self.inspector = QWidget()
+        stacked = QVBoxLayout(self.inspector)
+        stacked.setContentsMargins(0, 0, 0, 0)
+        stacked.setSpacing(2)
+        stacked.addWidget(self.evidence)
+        stacked.addWidget(self.tabs, 1)
 
         left = QWidget()
         column = QVBoxLayout(left)
@@ -72,7 +83,7 @@ class Workspace(QWidget):
         column.addWidget(self.views, 1)
         column.addWidget(self.frame_bar)
         self.side = QSplitter(Qt.Orientation.Vertical)
-        for panel in (self.objects, self.library, self.tabs):
+        for panel in (self.objects, self.inspector):
             self.side.addWidget(panel)
         self.side.setChildrenCollapsible(False)
         self.side.splitterMoved.connect(self._keep_side)
@@ -104,6 +115,11 @@ class Workspace(QWidget):
             tile.view.files_dropped.connect(self.files_dropped)
         self.pose.left.connect(self.focus_views)
         self.frame_bar.left.connect(self.focus_views)
+        placed = any(o.placements for o in controller.session.state.objects)
+        self.tabs.setCurrentWidget(self.pose if placed else self.library)
+        # The card changes its height with what it says.
+        self._soon = QTimer(self, singleShot=True, interval=0)
+        self._soon.timeout.connect(self._share_side)
         self._unsubscribe = controller.subscribe(self._on_event)
 
     @property
@@ -124,13 +140,13 @@ class Workspace(QWidget):
         if not self._shared:
             return
         total = self.side.height()
+        card = _needed(self.evidence) if self.evidence.isVisible() else 0
         current = self.tabs.currentWidget()
-        most = round(0.6 * total)
-        # Lists of points and frames can shrink; the pose panel has a fixed size.
-        needed = current.sizeHint().height() + self.tabs.tabBar().height() + 8
-        below = min(needed, most) if current is self.pose else most
-        library = max(self.library.minimumSizeHint().height(), round(0.2 * total))
-        self.side.setSizes([max(total - below - library, 1), library, below])
+        # Lists of meshes, points and frames can shrink; the pose panel has a fixed size.
+        page = _needed(current) if current is self.pose else round(0.4 * total)
+        below = card + page + self.tabs.tabBar().height() + 8
+        objects = max(self.objects.minimumSizeHint().height(), total - below)
+        self.side.setSizes([objects, max(total - objects, 1)])
 
     def _keep_side(self) -> None:
         self._shared = False
@@ -154,13 +170,14 @@ class Workspace(QWidget):
     def close_panel(self) -> None:
         """Unsubscribe from the controller; the widgets are deleted afterwards."""
         self._closed = True
+        self._soon.stop()
         settings.remember(self._window, self._divided())
         self._unsubscribe()
         if self._upkeep is not None:
             self._upkeep.close()
         for panel in (
             self.views, self.frame_bar, self.status, self.objects, self.library, self.pose,
-            self.points, self.residuals, self.toolbar,
+            self.points, self.evidence, self.residuals, self.toolbar,
         ):  # fmt: skip
             panel.close_panel()
         self.commands.close()
@@ -182,3 +199,12 @@ class Workspace(QWidget):
             self.banner.notices.tell(event.text, event.level)
         elif event.kind == "tool" and self.controller.clicking:
             self.tabs.setCurrentWidget(self.points)
+        if event.kind in self.evidence.KINDS:
+            self._soon.start()
+
+
+def _needed(panel: QWidget) -> int:
+    """Height of a panel whose texts are wrapped at its width."""
+    layout = panel.layout()
+    assert layout is not None
+    return max(layout.heightForWidth(panel.width()), layout.sizeHint().height())

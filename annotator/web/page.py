@@ -19,6 +19,7 @@ from annotator.app import (
     pose_text,
     questions,
 )
+from annotator.app.evidence_card import evidence_card
 from annotator.app.mesh_folder import FolderMesh, meshes_to_add
 from annotator.session import Session
 from std_toolkit.html.plots import object_color
@@ -185,7 +186,7 @@ def page_state(c: controller.Controller, fields: pose_text.PoseFields) -> dict[s
         "axes": c.axes,
         "points": _points(c),
         "residuals": [asdict(row) for row in panels.residual_rows(c)],
-        "verdict": panels.verdict(c),
+        "card": _card(c),
         "weak": panels.weak_direction(c),
         "marks": asdict(panels.frame_marks(c)),
         "provenance": fields.provenance(),
@@ -264,6 +265,18 @@ def _pose(fields: pose_text.PoseFields) -> dict[str, Any] | None:
         "quaternion": pose_text.quaternion_text(rotation) if as_quaternion else "",
         "matrix": fields.copied(),
     }
+
+
+def _card(c: controller.Controller) -> dict[str, Any] | None:
+    """Return the evidence on the selected object; None where there is nothing to show."""
+    card = None if c.clicking else evidence_card(c)
+    if card is None:
+        return None
+    shown = asdict(card)
+    index = {f.id: i for i, f in enumerate(c.session.scene.frames)}
+    for row in shown["rows"]:
+        row["index"] = index.get(row["frame"])
+    return shown
 
 
 def _points(c: controller.Controller) -> list[dict[str, Any]]:

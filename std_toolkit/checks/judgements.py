@@ -117,7 +117,9 @@ def reason_of(item: ObjectCheck, report: CheckReport) -> str:
         else:
             said, known = _gate_in_words(finding, report)
             if not (finding.gate == "size" and size):
-                (parts if known else unmeasured).append(said)
+                # A value within its limit is no reason to know nothing.
+                is_reason = known and finding.verdict != "unknown"
+                (parts if is_reason else unmeasured).append(said)
     parts += [size] if size else []
     return "; ".join(parts or unmeasured) or "nothing was measured"
 

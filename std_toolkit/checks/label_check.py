@@ -63,11 +63,11 @@ class LabelCheck:
     """Judges the labels of versions of one scene; may be used by several threads.
 
     Args:
-        options: limits; by default those of `std-curate check`.
+        options: limits; by default those of `std-curate check`. Also an attribute.
     """
 
     def __init__(self, options: CheckOptions | None = None) -> None:
-        self._options = options or CheckOptions()
+        self.options = options or CheckOptions()
         self._frames: dict[int, _Known] = {}
         self._textures: dict[int, tuple[Any, TextureFinding]] = {}
         self._caster: tuple[Any, LabelCaster] | None = None
@@ -138,12 +138,12 @@ class LabelCheck:
             scene,
             [_placed(k.observed, scene) for k in known.values() if k.observed is not None],
             problems,
-            self._options,
+            self.options,
             up=scene_up(poses, None),
             compared=compared,
             only=objects,
         )
-        limits = judgement_limits(self._options.label_limits())
+        limits = judgement_limits(self.options.label_limits())
         inputs = judgement_inputs(scene, limits)
         now = utc_now()
         found = {}
@@ -174,7 +174,7 @@ class LabelCheck:
     def _measure(self, scene: Scene, frame: Frame, missing: Sequence[int]) -> None:
         camera = _numbers(scene.T_world_cam(frame.id))
         try:
-            new = measure_frame(scene, self._cast(scene), frame, self._options, only=missing)
+            new = measure_frame(scene, self._cast(scene), frame, self.options, only=missing)
         except ToolkitError as error:
             self._frames[frame.id] = _Known(None, {}, str(error))
             return

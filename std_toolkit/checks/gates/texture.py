@@ -1,4 +1,4 @@
-"""Gates on the mesh of an object: its texture against turns of the label, and its file."""
+"""Gates on the mesh of an object: texture and contour against turns of the label, and its file."""
 
 from __future__ import annotations
 
@@ -24,11 +24,16 @@ def texture_sentence(item: ObjectCheck) -> str:
 
 def _texture(item: ObjectCheck, measured: Measured) -> Reading | None:
     del measured
-    if item.value("texture") is None:
+    if not _is_compared(item):
         return None
     found = item.text("texture")
     verdict = _VERDICTS.get(found, "fits")
     return Reading(float(found in _VERDICTS), detail=texture_sentence(item), verdict=verdict)
+
+
+def _is_compared(item: ObjectCheck) -> bool:
+    """Whether a texture was compared, or the contour speaks for a turn."""
+    return item.value("texture") is not None or item.value("texture_says") is not None
 
 
 def _turns(found: Readings, measured: Measured) -> str:
@@ -48,7 +53,7 @@ def _not_told(measured: Measured) -> Iterable[CheckWarning]:
                 advice="use a mesh with texture, or declare the symmetry of the model if both "
                 "poses are right",
             )
-        elif found == "undecided" and item.value("texture") is not None:
+        elif found == "undecided" and _is_compared(item):
             yield CheckWarning(
                 severity="medium",
                 about=item.name,
@@ -65,13 +70,13 @@ def _unreadable(item: ObjectCheck, measured: Measured) -> Reading | None:
 GATES = (
     ObjectGate(
         key="texture",
-        title="labels whose texture fits another turn better, or is not there",
+        title="labels that fit better after a turn, or whose texture is not there",
         measure=_texture,
         counts=True,
         exempt=no_exemption,
         detail=_turns,
-        advice="turn the object in the annotator until its texture agrees with the image, or use "
-        "the mesh of this product; refine and save it, and run `std-curate propagate` again",
+        advice="turn the object in the annotator until texture and outline agree with the image, or "
+        "use the mesh of this product; refine and save it, and run `std-curate propagate` again",
         warn=_not_told,
     ),
     ObjectGate(

@@ -1,4 +1,4 @@
-"""The texture of each labelled object against near-symmetric turns of its label."""
+"""Texture and contour of each labelled object against turns of its label."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from std_toolkit.checks.measure.contours import mesh_problem
 from std_toolkit.checks.measure.motion import motion_value
 from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.checks.measure.shared_errors import seen_errors
+from std_toolkit.checks.measure.turns import TurnByContour, TurnComparison
 from std_toolkit.geometry import SE3
 from std_toolkit.labels.refine.problem import RefineObject
 from std_toolkit.labels.refine_step import scene_object, texture_surface
@@ -50,6 +51,8 @@ def compare_textures(
 ) -> dict[int, TextureFinding]:
     """Compare the texture of every labelled object with a few of the frames.
 
+    Where the texture does not decide which turn is right, the contour is compared.
+
     Args:
         scene: the scene with its labels.
         frames: registered frames whose images can be read.
@@ -66,6 +69,7 @@ def compare_textures(
             placed[item.id] = pose
     objects = {i: scene_object(scene, i, pose) for i, pose in placed.items()}
     views = scene_views(scene, frames)
+    turns = TurnComparison(scene, frames)
     found = {}
     for i, obj in objects.items():
         if only is None or i in only:
@@ -77,11 +81,30 @@ def compare_textures(
             surface = textured.texture
             windows = None if surface is None else Windows(views, textured, surface, others)
             comparison = compare_texture(views, textured, others, windows=windows)
+            if comparison.verdict in ("undecided", "ambiguous"):
+                comparison = _by_contour(comparison, turns.best(i, obj))
             motion = _motion_of(windows, comparison)
             if motion is not None:
                 motion = with_cameras(scene, obj, motion)
             found[i] = TextureFinding(comparison, motion)
     return found
+
+
+def _by_contour(found: TextureComparison, turn: TurnByContour | None) -> TextureComparison:
+    """The comparison with what the contour says of turns, where it says anything against a label.
+
+    A turn whose silhouette is the same in all frames stays ambiguous.
+    """
+    if turn is None or not (turn.is_better or turn.is_open):
+        return found
+    return replace(
+        found,
+        verdict="turned" if turn.is_better else "undecided",
+        turn=turn.turn,
+        text=turn.text,
+        telling=turn.telling[:3],
+        contour_gain=turn.gain,
+    )
 
 
 def _motion_of(windows: Windows | None, found: TextureComparison) -> TextureMotion | None:
@@ -133,7 +156,12 @@ def with_texture(item: result.ObjectCheck, finding: TextureFinding | None) -> re
                 frames=found.frames,
                 text=found.text,
             ),
-            result.Value(key="texture_says", source="texture", text=found.sentence()),
+            result.Value(
+                key="texture_says",
+                value=_number(found.contour_gain),
+                source="contour" if found.by_contour else "texture",
+                text=found.sentence(),
+            ),
         ]
     )
 

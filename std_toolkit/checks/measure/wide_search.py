@@ -58,6 +58,7 @@ class SearchedView:
         smoothed: from `smooth_image`.
         noise: from `noise_level`.
         reach_px: length of a profile on both sides.
+        shown: (H, W) where nothing else hides the object; None: what the caster says.
     """
 
     caster: LabelCaster
@@ -67,6 +68,7 @@ class SearchedView:
     smoothed: NDArray[np.float32]
     noise: float
     reach_px: float
+    shown: NDArray[np.bool_] | None = None
 
     @staticmethod
     def of_image(
@@ -98,7 +100,10 @@ class SearchedView:
         mask = np.zeros((y1 - y0, x1 - x0), bool)
         hits = self.caster.cast_pixels(self.camera, T, possible, origin=(x0, y0))
         mask[possible] = hits.object_id == self.object_id
-        return trace_contour(self.caster, self.camera, T, self.object_id, mask, origin=(x0, y0))
+        shown = None if self.shown is None else self.shown[y0:y1, x0:x1]
+        return trace_contour(
+            self.caster, self.camera, T, self.object_id, mask, origin=(x0, y0), shown=shown
+        )
 
     def equations(self, motion: Array) -> MotionEquations | None:
         """Edges near the contour after a motion (6,); offsets and motions count from the label."""

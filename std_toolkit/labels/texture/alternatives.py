@@ -74,6 +74,8 @@ class AlternativeSettings(Settings):
     """smallest overlap of the silhouettes of such a turn"""
     equal_iou: float = limit(0.97, source=NOT_RECORDED)
     """silhouettes that overlap by more are equal but for the pixels of their rims"""
+    similar_iou: float = limit(0.6, source="the half turn of a bracket of two arms has 0.65 to 0.9")
+    """smallest mean overlap of the silhouettes of a turn after which most of a body may fit"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +161,31 @@ class NearSymmetry:
             if views.same_silhouettes(turn, limits.mirrored_iou):
                 found.append(Alternative(turn, text, float("nan")))
         return found
+
+    def similar(self, poses: Sequence[SE3]) -> list[Alternative]:
+        """Turns of a cube after which most of the silhouette is the same, but not all of it.
+
+        Those that overlap most come first.
+
+        Args:
+            poses: T_cam_obj of the views.
+        """
+        limits = AlternativeSettings.current()
+        views = _Views(self._surface, poses)
+        tried: list[SE3] = []
+        found: list[tuple[float, Alternative]] = []
+        for rotation, text in _cube_turns(self._bases):
+            turn = turn_about(self._surface.centre, rotation)
+            if rotation_error(turn, SE3.identity(), self._symmetry) < limits.far:
+                continue
+            if self._same.any(turn, tried):
+                continue
+            tried.append(turn)
+            shared = views.overlaps(turn)
+            mean = float(np.mean(shared)) if shared else 0.0
+            if mean >= limits.similar_iou and min(shared) < limits.equal_iou:
+                found.append((mean, Alternative(turn, text, float("nan"))))
+        return [a for _, a in sorted(found, key=lambda one: -one[0])]
 
     def looks_equal(self, poses: Sequence[SE3], alternative: Alternative) -> bool:
         """Whether silhouettes cannot tell the alternative in any of the views.
@@ -280,14 +307,17 @@ class _Views:
 
     def same_silhouettes(self, turn: SE3, least: float) -> bool:
         """Whether masks before and after a turn overlap by `least` (IoU) in every view."""
-        for k, T in enumerate(self._poses):
-            if k == len(self._masks):
-                self._masks.append(_silhouette(self._surface, T))
-            before, after = self._masks[k], _silhouette(self._surface, T @ turn)
-            shared, union = int((before & after).sum()), int((before | after).sum())
-            if shared < least * max(union, 1):
-                return False
-        return True
+        return all(self._overlap(k, turn) >= least for k in range(len(self._poses)))
+
+    def overlaps(self, turn: SE3) -> list[float]:
+        """Overlaps (IoU) of the masks before and after a turn, by view."""
+        return [self._overlap(k, turn) for k in range(len(self._poses))]
+
+    def _overlap(self, k: int, turn: SE3) -> float:
+        while k >= len(self._masks):
+            self._masks.append(_silhouette(self._surface, self._poses[len(self._masks)]))
+        before, after = self._masks[k], _silhouette(self._surface, self._poses[k] @ turn)
+        return int((before & after).sum()) / max(int((before | after).sum()), 1)
 
 
 def _cube_turns(bases: Sequence[Basis]) -> list[tuple[Array, str]]:

@@ -81,6 +81,7 @@ class TextureComparison:
             `turn`; "undecided": the images do not tell; "ambiguous": no texture is in view and the
             turned silhouette is the same, so that geometry cannot tell either; "other": the
             texture is clear, and neither the pose nor a turn agrees better than a random one.
+            Where no texture decides, "turned" and "undecided" may be said by the contour.
         turn: T_obj_turned of the best alternative, so that `pose @ turn` is its pose; None without
             an alternative.
         text: the turn in words, such as "turned by 180 deg about z"; "" without an alternative.
@@ -90,6 +91,8 @@ class TextureComparison:
         chance: score that a random texture seldom reaches; NaN if not measured.
         telling: ids of neighbouring frames in which the alternative differs most from the pose.
         textured: whether the mesh has a texture, and shows it.
+        contour_gain: log likelihood by which the contour of the turn exceeds that of the pose,
+            where the contour gives the verdict; else NaN.
     """
 
     verdict: TextureVerdict
@@ -101,6 +104,12 @@ class TextureComparison:
     chance: float = NAN
     telling: tuple[int, ...] = ()
     textured: bool = True
+    contour_gain: float = NAN
+
+    @property
+    def by_contour(self) -> bool:
+        """Whether the contour gives the verdict."""
+        return bool(np.isfinite(self.contour_gain))
 
     @property
     def margin(self) -> float:
@@ -110,12 +119,12 @@ class TextureComparison:
     @property
     def rival_leads(self) -> bool:
         """Whether an alternative has the higher score."""
-        return self.turn is not None and self.rival_score > self.score
+        return self.turn is not None and (self.rival_score > self.score or self.contour_gain > 0)
 
     def sentence(self) -> str:
         """The finding as one sentence without a full stop."""
         if self.verdict == "turned":
-            return f"{self.text} fits the texture better"
+            return f"{self.text} fits the {'contour' if self.by_contour else 'texture'} better"
         if self.verdict == "ambiguous":
             return f"ambiguous by geometry: the mesh has no texture, and {self.text} looks the same"
         if self.verdict == "other":
@@ -129,9 +138,12 @@ class TextureComparison:
         if self.turn is None:
             return ""
         shown = frame_ranges(self.telling)
-        return f"look at the label in {shown}" if shown else "photograph the other side"
+        what = "outline" if self.by_contour else "label"
+        return f"look at the {what} in {shown}" if shown else "photograph the other side"
 
     def _undecided(self) -> str:
+        if self.by_contour:
+            return f"{self.text} fits the contour about as well: {self.decides()}"
         if self.rival_leads:
             return (
                 f"{self.text} scores {self.rival_score:.2f} against {self.score:.2f}: "

@@ -20,7 +20,7 @@ def test_everything_fits_into_1280_by_720(bench: Bench) -> None:
     for part in (
         space.toolbar,
         space.objects.list,
-        space.library.list,
+        space.evidence.reason,
         space.pose.copy_button,
         space.frame_bar.strip,
         space.status.saved,

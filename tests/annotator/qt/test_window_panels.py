@@ -33,13 +33,13 @@ def test_what_cannot_be_stopped_has_no_button_for_it(bench: Bench, alone: bool) 
 
 def test_residuals_alone_are_not_called_a_fit(bench: Bench) -> None:
     """A median in depth is forgiving, and in clutter any contour lies near an edge."""
-    c, panel = bench.controller, bench.space.residuals
+    c, panel = bench.controller, bench.space.evidence
     c.residuals["box_1"] = [
         FrameResidual(0, 900, edge_px=1.4, edge_chance_px=1.6, depth_mm=-10.0),
         FrameResidual(1, 900, edge_px=None, depth_mm=-12.0),
     ]
     panel.refresh()
-    assert panel.summary.text().startswith("Not judged yet")
+    assert panel.reason.text().startswith("Not judged yet")
     row = summarize(c)[0]
     assert row.badge == "11 mm"
     assert "check the contour by eye" in row.explanation
@@ -48,7 +48,7 @@ def test_residuals_alone_are_not_called_a_fit(bench: Bench) -> None:
     c.ranks["box_1"] = PoseRank(200, 200, (0, 1), (0, 1), -0.1, 0.6)
     c.textures["box_1"] = TextureComparison("fits", None, "", 0.6, float("nan"), 2)
     panel.refresh()
-    assert panel.summary.text().startswith("Not judged yet")
+    assert panel.reason.text().startswith("Not judged yet")
     assert summarize(c)[0].grade != "fits"
 
 

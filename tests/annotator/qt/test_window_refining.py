@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from bench import Bench
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QLabel
 from window_scene import T_WORLD_BOX, camera_pose
 
 from annotator.app.events import Event
@@ -89,9 +90,13 @@ def test_residuals_come_by_themselves_and_go_when_the_object_moves(bench: Bench)
     rows = bench.space.objects.model.rows
     assert rows[0].badge.endswith("px")
     assert rows[0].grade == "fits"
-    assert panel.summary.text().startswith("It fits: contour and depth confirm it to ±")
-    assert "etter than" in panel.summary.text()
-    assert "is not determined: geometry cannot tell it" in panel.summary.text()
+    card = bench.space.evidence
+    assert card.word.text() == "fits"
+    assert card.reason.text().startswith("Contour and depth confirm it to ±")
+    rows = {row.source: row for row in card.rows}
+    assert rows["nearby poses"].text == "beats 200 of 200"
+    assert rows["texture"].text == "none: turns look the same"
+    assert rows["contour"].grade == rows["depth"].grade == rows["nearby poses"].grade == "fits"
     bench.press(Qt.Key.Key_Right)
     assert "box_1" not in bench.controller.residuals
     assert bench.space.objects.model.rows[0].badge == ""
@@ -166,15 +171,17 @@ def test_a_rival_that_leads_is_read_as_a_whole(bench: Bench) -> None:
         0.2,
         (30, 34, 38),
     )
-    panel = bench.space.residuals
-    bench.space.tabs.setCurrentWidget(panel)
+    card = bench.space.evidence
     c.emit(Event("verdict", objects=("box_1",)))
     bench.settle()
-    text = panel.summary.text()
+    text = card.reason.text()
     assert "scores 0.27 against 0.15: look at the label in frames 30 to 38" in text
-    needed = panel.summary.heightForWidth(panel.summary.width())
-    assert panel.summary.height() >= needed > 0
-    shown = panel.summary.mapTo(bench.shell, panel.summary.rect().bottomRight())
-    assert bench.shell.rect().contains(shown)
+    for label in (card.reason, *card.findChildren(QLabel)):
+        if label.isVisible():
+            needed = label.heightForWidth(label.width()) if label.wordWrap() else 1
+            assert label.height() >= needed > 0
+            shown = label.mapTo(bench.shell, label.rect().bottomRight())
+            assert bench.shell.rect().contains(shown)
+    assert card.buttons["texture"].text() == "Turn it"
     row = bench.space.objects.model.rows[0]
     assert row.grade == "doubtful"

@@ -70,7 +70,11 @@ def test_the_page_names_a_rival_and_asks_before_done(desk: Desk) -> None:
     )
     c.findings.keep_judgements({"box_1": Judged(unknown)})
     told = "urned by 180 deg about z scores 0.27 against 0.15"
-    assert told in page_state(c, PoseFields(c))["verdict"]
+    card = page_state(c, PoseFields(c))["card"]
+    assert (card["word"], card["reason"]) == ("unknown", "Measured.")
+    (row,) = [r for r in card["rows"] if r["source"] == "texture"]
+    assert told in row["tip"]
+    assert (row["text"], row["action"]) == ("0.15, other turns 0.27", "take_turn")
     BY_ID["done"].run(c)
     assert asked[-1] is not None and told in asked[-1].text
     assert c.session.object("box_1").status == "open"
