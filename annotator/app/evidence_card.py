@@ -232,8 +232,8 @@ def _motion_grade(c: Controller, evidence: Evidence) -> Grade:
         if value <= limit:
             grades.append("fits")
             continue
-        along = np.asarray(motion) / value
-        std = float(np.sqrt(max(along @ C[part, part] @ along, 0.0)))
+        along = np.asarray(motion, dtype=np.float64) / value
+        std = float(np.sqrt(max(float(along @ C[part, part] @ along), 0.0)))
         grades.append("wrong" if value > limit + _DEVIATIONS * std else "doubtful")
     return _worst(grades)
 

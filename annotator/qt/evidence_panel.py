@@ -40,7 +40,8 @@ class EvidencePanel(Panel):
         self._grid.setHorizontalSpacing(8)
         self._grid.setVerticalSpacing(2)
         self._grid.setColumnStretch(1, 1)
-        card = QtWidgets.QFrame(objectName="card")
+        card = QtWidgets.QFrame()
+        card.setObjectName("card")
         column = QtWidgets.QVBoxLayout(card)
         column.setContentsMargins(8, 4, 8, 6)
         column.setSpacing(2)
@@ -73,9 +74,9 @@ class EvidencePanel(Panel):
 
     def _show_rows(self) -> None:
         while (item := self._grid.takeAt(0)) is not None:
-            widget = item.widget()
-            widget.hide()
-            widget.deleteLater()
+            if (widget := item.widget()) is not None:
+                widget.hide()
+                widget.deleteLater()
         self.buttons = {}
         line = 0
         for row in self.rows:
@@ -96,7 +97,8 @@ class EvidencePanel(Panel):
                 line += 1
 
     def _button(self, row: EvidenceRow) -> QtWidgets.QPushButton:
-        button = QtWidgets.QPushButton(row.label, objectName="small")
+        button = QtWidgets.QPushButton(row.label)
+        button.setObjectName("small")
         button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         button.setAccessibleName(f"{row.source}: {row.label}")
         button.clicked.connect(lambda: self._act(row))

@@ -75,8 +75,8 @@ GATES = (
         counts=True,
         exempt=no_exemption,
         detail=_turns,
-        advice="turn the object in the annotator until texture and outline agree with the image, or "
-        "use the mesh of this product; refine and save it, and run `std-curate propagate` again",
+        advice="turn the object in the annotator until texture and outline agree with the image, "
+        "or use the mesh of this product; refine, save, and run `std-curate propagate` again",
         warn=_not_told,
     ),
     ObjectGate(

@@ -36,6 +36,12 @@ class FrameEvidenceSettings(Settings):
     """frames whose surroundings are compared"""
     share_of_frames: float = limit(0.05, source="the time of the check stays linear")
     """the same as a share of the frames, where that is more"""
+    seen_least: float = limit(
+        0.6, source="where a camera is 30 mm off, objects of steel or glass keep up to a half"
+    )
+    """frames in which no object has this part of its usual likelihood are asked about, too"""
+    most_seen_least: int = limit(3, source="right frames cost time, and are seldom seen so badly")
+    """largest number of these"""
     most_runs: int = limit(4, source="a search costs as much as the labels of ten frames")
     """runs of frames in which each object is looked for"""
     agreement: float = limit(0.3, source="one frame measures the distance weakly")
@@ -80,6 +86,7 @@ class _Suspects:
         self.scene, self.options = scene, options
         self.observed = {f.frame: f for f in observed}
         self.objects: dict[int, ObjectFrames] = {}
+        self._likelihood: dict[int, float] = {}
         seen = AggregateSettings.current().judged_fraction
         for item in scene.objects.objects:
             T_world_obj = scene.T_world_obj(item.id)
@@ -100,12 +107,15 @@ class _Suspects:
             )
             if found.tells:
                 self.objects[item.id] = found
+            for f, part in zip(found.frames, found.part, strict=False):
+                known = self._likelihood.get(f.frame, -np.inf)
+                self._likelihood[f.frame] = max(float(part), known)
         self.camera: dict[int, str] = {}
         self.right: set[int] = set()
 
     def evidence(self) -> FrameEvidence:
         """All of it; images are read again only where a frame contradicts the others."""
-        if any(o.displaced or o.unfit for o in self.objects.values()):
+        if self._seen_least() or any(o.displaced or o.unfit for o in self.objects.values()):
             caster = LabelCaster.of_scene(self.scene)
             self._ask_surroundings(caster)
             for i, found in self.objects.items():
@@ -128,6 +138,18 @@ class _Suspects:
                 off.setdefault(frame, set()).add(i)
         return off
 
+    def _seen_least(self) -> list[int]:
+        """Frames whose camera pose may be wrong though no object says so, the likeliest first.
+
+        Reflections and refraction show something everywhere, so that steel and glass fit badly in
+        all frames or in none. Their surroundings say more.
+        """
+        limits = FrameEvidenceSettings.current()
+        # Where no object tells of frames, nothing else does.
+        below = limits.seen_least if self.objects else np.inf
+        low = [f for f, part in self._likelihood.items() if part < below]
+        return sorted(low, key=lambda f: self._likelihood[f])[: limits.most_seen_least]
+
     def _ask_surroundings(self, caster: LabelCaster) -> None:
         limits = FrameEvidenceSettings.current()
         off = self._off()
@@ -139,9 +161,11 @@ class _Suspects:
         most = max(limits.most_frames, round(limits.share_of_frames * len(self.observed)))
         points = ScenePoints(self.scene, caster)
         answers: dict[int, CameraEvidence] = {}
-        for frame in _ends_first(runs)[:most]:
+        asked = _ends_first(runs)[:most]
+        asked += [f for f in self._seen_least() if f not in off]
+        for frame in asked:
             # Neighbours within a run agree with each other if an object was moved.
-            answers[frame] = points.judge(frame, off.keys() - self.right)
+            answers[frame] = points.judge(frame, (off.keys() | set(asked)) - self.right)
             if answers[frame].verdict == "wrong":
                 e = answers[frame]
                 self.camera[frame] = f"{e.mm:.0f} mm and {e.deg:.1f} deg off by its surroundings"

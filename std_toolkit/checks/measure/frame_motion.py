@@ -124,6 +124,7 @@ class ObjectFrames:
         tells: whether its label fits in so many frames that the others say something.
         fits: ids of the frames in which its label fits as in most others.
         unfit: ids of the frames in which it is not where its label is, nor near.
+        part: (frames,) likelihood in parts of the usual; none of less than three frames.
         displaced: runs of frames in which it lies elsewhere.
     """
 
@@ -143,8 +144,7 @@ class ObjectFrames:
             if o.motion is not None
         ]
         self.free, self.smallest_mm = free, smallest_mm
-        self.tells = False
-        self.fits: frozenset[int] = frozenset()
+        self.tells, self.part, self.fits = False, np.array([]), frozenset[int]()
         self.unfit: tuple[int, ...] = ()
         self.displaced: list[Displaced] = []
         if len(self.frames) < 3:

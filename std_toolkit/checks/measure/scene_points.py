@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array
 from std_toolkit.checks.measure.contours import LabelCaster
+from std_toolkit.checks.measure.shared_errors import seen_errors
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.se3 import so3_log
@@ -53,6 +54,14 @@ class ScenePointSettings(Settings):
         6.0, unit="mm", source="poses from structure from motion have errors of up to 4 mm"
     )
     """smallest displacement of the points across the view that is a fault"""
+    stated_deviations: float = limit(
+        4.0, unit="deviations", source="the neighbours, which give the points, err as well"
+    )
+    """the same in units of what the stated errors of the camera poses move the points by"""
+    baseline: float = limit(
+        0.06, source="of cameras 2 deg apart that err by 0.1 deg, points are 4 % too near or far"
+    )
+    """smallest distance of neighbours from each other, in parts of that to the objects"""
 
 
 @dataclass(frozen=True)
@@ -112,10 +121,34 @@ class ScenePoints:
         near = sorted(
             (k for k, i in enumerate(ids) if i != frame and i not in doubtful),
             key=lambda k: abs(k - at),
-        )[:_NEIGHBOURS]
-        others = [p for k in near if (p := self._picture(self.order[k])) is not None]
+        )
+        others = self._neighbours(here, near)
         points, pixels = self._common_points(here, others)
-        return _compare(here, points, pixels)
+        return _compare(here, points, pixels, self._stated_mm(frame, points))
+
+    def _neighbours(self, here: _Picture, near: Sequence[int]) -> list[_Picture]:
+        """The nearest pictures that are some way apart from each other."""
+        corners = np.concatenate([self.caster.corners[i] for i in self.caster.object_ids])
+        distance = float(np.linalg.norm(corners.mean(axis=0) - here.T_world_cam.t))
+        apart = ScenePointSettings.current().baseline * distance
+        found: list[_Picture] = []
+        for k in near:
+            pose = self.scene.T_world_cam(self.order[k].id)
+            if pose is None or any(np.linalg.norm(pose.t - p.T_world_cam.t) < apart for p in found):
+                continue
+            picture = self._picture(self.order[k])
+            if picture is not None:
+                found.append(picture)
+            if len(found) == _NEIGHBOURS:
+                break
+        return found
+
+    def _stated_mm(self, frame: int, points: Array) -> float:
+        """Deviation of the place of the points by the stated error of a camera pose."""
+        if not len(points):
+            return 0.0
+        (covariance,) = seen_errors(self.scene, [frame], np.median(points, axis=0))
+        return 1000 * float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
 
     def _picture(self, frame: Frame) -> _Picture | None:
         if frame.id not in self._pictures:
@@ -203,7 +236,7 @@ def _error_px(points: Array, rays: Array, picture: _Picture, T_world_cam: SE3) -
     return np.nan_to_num(error, nan=np.inf)
 
 
-def _compare(here: _Picture, points: Array, rays: Array) -> CameraEvidence:
+def _compare(here: _Picture, points: Array, rays: Array, stated_mm: float) -> CameraEvidence:
     limits = ScenePointSettings.current()
     if len(points) < limits.fewest_points:
         return CameraEvidence("unknown", len(points))
@@ -233,6 +266,7 @@ def _compare(here: _Picture, points: Array, rays: Array) -> CameraEvidence:
     deg = float(np.rad2deg(np.linalg.norm(so3_log(best.R.T @ here.T_world_cam.R))))
     depth = (here.T_world_cam.inverse() @ points)[:, 2]
     error = _error_px(points, rays, here, here.T_world_cam) / here.camera.fx * depth
-    if explained < limits.wrong * count and 1000 * np.median(error) >= limits.smallest_mm:
+    least = max(limits.smallest_mm, limits.stated_deviations * stated_mm)
+    if explained < limits.wrong * count and 1000 * np.median(error) >= least:
         return CameraEvidence("wrong", count, explained, mm, deg)
     return CameraEvidence("unknown", count, explained)

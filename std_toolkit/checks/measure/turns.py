@@ -119,7 +119,9 @@ class TurnComparison:
         first = {k: views[k] for k in list(views)[:_FIRST]}
         looks = [(self._gain(label, first, obj, a), k) for k, a in enumerate(turns)]
         likely = sorted((g for g in looks if g[0] is not None), reverse=True)[:_KEPT]
-        found = [f for _, k in likely if (f := self._found(label, views, obj, turns[k])) is not None]
+        found = [
+            f for _, k in likely if (f := self._found(label, views, obj, turns[k])) is not None
+        ]
         return max(found, key=lambda f: f.gain, default=None)
 
     def _gain(

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from std_toolkit.checks.measure.contours import LabelCaster
+from std_toolkit.checks.measure.scene_points import ScenePoints
 from std_toolkit.checks.measure.textures import compare_textures
 from std_toolkit.geometry import rotation_error
 from std_toolkit.geometry.se3 import SE3, so3_exp
@@ -207,3 +209,15 @@ def test_the_half_turn_of_the_bottle_is_refused(bottle):
         comparison = compared[thing].comparison
         assert comparison.verdict in verdicts
         assert comparison.rival_leads == (pose is found.pose)
+
+
+def test_the_surroundings_accuse_no_camera(bottle):
+    """The tags of the board repeat, and its prints are much alike."""
+    scene, _, by_hand = bottle
+    set_pose(scene, "squeezed", 112, scene.T_world_cam(112).inverse() @ by_hand)
+    propagate_labels(scene)
+    points = ScenePoints(scene, LabelCaster.of_scene(scene))
+    frames = scene.registered_frames()
+    found = [points.judge(f.id, ()).verdict for f in frames]
+    assert "wrong" not in found
+    assert found.count("right") >= 0.75 * len(frames)
