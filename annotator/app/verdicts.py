@@ -108,7 +108,8 @@ def measured_verdict(
         return Verdict("wrong", text, turned=True)
     grade: Grade = "unknown" if judgement is None else judgement.grade
     said = [_HEADS[grade].format(judgement.reason) if judgement is not None else "Not judged yet."]
-    if texture is not None and texture.textured and texture.verdict in ("undecided", "other"):
+    compared = texture is not None and (texture.textured or texture.by_contour)
+    if texture is not None and compared and texture.verdict in ("undecided", "other"):
         seen = texture.sentence()
         said += [] if seen in said[0] else [_sentence(seen)]
         said += ["Press Y to turn it there."] if texture.rival_leads and can_turn(texture) else []

@@ -174,7 +174,7 @@ def judge(hand: Hands, red: Image) -> None:
         hand.press(key)
     hand.wait(lambda: "mug" in c.residuals)
     hand.settle()
-    _save("annotating_contour", hand.picture(space.views, space.tabs))
+    _save("annotating_contour", hand.picture(space.views, space.inspector))
     c.select("glass")
     hand.press(Qt.Key.Key_1)
     hand.press(Qt.Key.Key_Tab)
@@ -230,7 +230,7 @@ def parts(hand: Hands) -> list[QWidget]:
         s.views.tiles[1],
         s.frame_bar,
         s.objects.list,
-        s.library.list,
+        s.evidence,
         s.tabs,
         s.status,
     ]

@@ -12,7 +12,7 @@ from scene_on_disk import write_scene
 
 from annotator.app.action_table import BY_ID
 from annotator.app.dialogs import Dialogs
-from annotator.app.panels import frame_marks, residual_rows, verdict, weak_direction
+from annotator.app.panels import frame_marks, residual_rows, weak_direction
 from annotator.app.pose_text import PoseFields, RotationForm
 from annotator.app.questions import Question
 from annotator.app.verdicts import object_verdict
@@ -50,7 +50,7 @@ def residual(frame: int, edge: float | None, depth: float | None) -> FrameResidu
 )
 def test_the_verdict_is_one_sentence(desk: Desk, rows: list[FrameResidual], sentence: str) -> None:
     desk.controller.residuals["box_1"] = rows
-    assert sentence in verdict(desk.controller)
+    assert sentence in object_verdict(desk.controller, "box_1").text
     assert len(residual_rows(desk.controller)) == len(rows)
 
 
@@ -97,7 +97,7 @@ def test_a_texture_that_fits_better_turned_is_offered_and_taken_as_one_edit(desk
         "turned", half, "turned by 180 deg about z", 0.1, 0.6, 4
     )
     assert object_verdict(c, "box_1").turned
-    assert "turned by 180 deg about z fits the texture better" in verdict(c)
+    assert "turned by 180 deg about z fits the texture better" in object_verdict(c, "box_1").text
     assert BY_ID["take_turn"].enabled(c)
     BY_ID["take_turn"].run(c)
     after = c.session.pose("box_1", 0)

@@ -155,6 +155,8 @@ def test_the_verdict_follows_the_measurement(served: Served, page: Page) -> None
     opened(page, served.url)
     before = position(page)
     page.wait_for_selector("#verdict:has-text('too few frames')")
+    assert page.locator("#card .word").inner_text() == "unknown"
+    assert page.locator("[data-evidence='contour']").count() == 1
     page.keyboard.press("ArrowRight")
     page.wait_for_selector("#verdict:has-text('Not judged yet')")
     page.wait_for_selector("#verdict:has-text('too few frames')")  # measured by itself
