@@ -50,6 +50,18 @@ def summarize(c: Controller) -> list[ObjectSummary]:
     return [_summary(c, obj) for obj in c.session.state.objects]
 
 
+def matching(rows: Sequence[ObjectSummary], sought: str) -> list[ObjectSummary]:
+    """Return the rows in which every word occurs: in name, mesh, material, state or verdict."""
+    words = sought.casefold().split()
+    return [r for r in rows if all(w in searched(r) for w in words)]
+
+
+def searched(row: ObjectSummary) -> str:
+    """Return the words of a row among which `matching` looks, in lower case."""
+    parts = (row.name, row.model, row.material, row.state, row.badge, row.grade, row.alarm)
+    return " ".join(parts).casefold()
+
+
 def progress(c: Controller) -> str:
     """Return the number of finished objects, such as "2 of 5 done"; "" without objects."""
     objects = c.session.state.objects

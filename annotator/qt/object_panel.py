@@ -20,7 +20,7 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor, QFont, QFontMetrics, QPainter
 
 from annotator.app.controller import Controller
-from annotator.app.object_summary import ObjectSummary, progress, summarize
+from annotator.app.object_summary import ObjectSummary, matching, progress, summarize
 from annotator.qt import theme
 from annotator.qt.commands import Commands
 from annotator.qt.panel import Panel, label, tool_button
@@ -39,6 +39,8 @@ _MENU = (
 
 # The view and the status line show what to do.
 _EMPTY = "No objects yet."
+# A list that does not fit into the panel can be searched.
+_SEARCHED_FROM = 8
 
 Index = QModelIndex | QPersistentModelIndex
 
@@ -70,6 +72,12 @@ class ObjectPanel(Panel):
         self.list.doubleClicked.connect(lambda: commands.run("zoom_object"))
 
         self.count = label("muted")
+        self.search = QtWidgets.QLineEdit()
+        self.search.setPlaceholderText("Search: name, material, state or verdict")
+        self.search.setClearButtonEnabled(True)
+        self.search.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        self.search.textChanged.connect(self.refresh)
+        self.search.returnPressed.connect(self.list.setFocus)
         top = QtWidgets.QHBoxLayout()
         top.addWidget(label("heading", "Objects"))
         top.addStretch(1)
@@ -99,15 +107,19 @@ class ObjectPanel(Panel):
         layout.setContentsMargins(6, 4, 6, 4)
         layout.setSpacing(4)
         layout.addLayout(top)
+        layout.addWidget(self.search)
         layout.addLayout(self.stack, 1)
         layout.addLayout(below)
         self.follow()
 
     def refresh(self) -> None:
         c = self._controller
-        self.model.show_rows(summarize(c))
+        rows = summarize(c)
+        self.search.setVisible(len(rows) >= _SEARCHED_FROM)
+        sought = self.search.text() if self.search.isVisibleTo(self) else ""
+        self.model.show_rows(matching(rows, sought), [r.id for r in rows])
         self.count.setText(progress(c))
-        self.stack.setCurrentIndex(0 if self.model.rows else 1)
+        self.stack.setCurrentIndex(0 if rows else 1)
         names = [r.name for r in self.model.rows]
         selection = self.list.selectionModel()
         if c.selected in names:
@@ -116,11 +128,13 @@ class ObjectPanel(Panel):
                 flag = QItemSelectionModel.SelectionFlag.ClearAndSelect
                 selection.setCurrentIndex(index, flag)
                 self.list.scrollTo(index)
-            self.material.setCurrentText(c.session.object(c.selected).material)
         else:
             selection.clear()
+        if c.selected is not None:
+            self.material.setCurrentText(c.session.object(c.selected).material)
+        else:
             self.material.setCurrentIndex(-1)
-        self.material.setEnabled(c.selected in names and c.session.writable)
+        self.material.setEnabled(c.selected is not None and c.session.writable)
 
     def _on_current(self) -> None:
         index = self.list.selectionModel().currentIndex()
@@ -153,9 +167,16 @@ class ObjectListModel(QAbstractListModel):
     def __init__(self) -> None:
         super().__init__()
         self.rows: list[ObjectSummary] = []
+        self._ids: list[int] = []
 
-    def show_rows(self, rows: list[ObjectSummary]) -> None:
-        """Update the rows; remaining rows keep position, selection and scroll position."""
+    def show_rows(self, rows: list[ObjectSummary], ids: list[int]) -> None:
+        """Update the rows; remaining rows keep position, selection and scroll position.
+
+        Args:
+            rows: the objects to show.
+            ids: of all objects, which give the colours.
+        """
+        self._ids = ids
         if [r.id for r in rows] != [r.id for r in self.rows]:
             self.beginResetModel()
             self.rows = rows
@@ -179,7 +200,7 @@ class ObjectListModel(QAbstractListModel):
         return None
 
     def color(self, row: ObjectSummary) -> str:
-        return object_color([r.id for r in self.rows], row.id)
+        return object_color(self._ids, row.id)
 
     def flags(self, index: Index) -> Qt.ItemFlag:
         return super().flags(index) | Qt.ItemFlag.ItemIsDragEnabled

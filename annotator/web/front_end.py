@@ -104,10 +104,9 @@ class FrontEnd:
         session = self.controller.session
         self._state.update(page_constants(session, dialogs=self.controller.dialogs))
         self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
-        self._state.update(
-            {"busy_share": None, "sliding": None, "fading": None, "mistyped": 0, "sought": ""}
-        )
-        self._state.client_only("sliding", "fading", "sought")
+        self._state.update({"busy_share": None, "sliding": None, "fading": None, "mistyped": 0})
+        self._state.update({"sought": "", "sought_object": ""})
+        self._state.client_only("sliding", "fading", "sought", "sought_object")
         self._refresh()
         for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
                      "set_number", "set_form", "copied", "paste", "set_opacity",

@@ -226,6 +226,7 @@ def _objects(c: controller.Controller) -> list[dict[str, Any]]:
             "grade": s.grade,
             "alarm": s.alarm,
             "explanation": s.explanation,
+            "searched": object_summary.searched(s),
         }
         for s in object_summary.summarize(c)
     ]

@@ -10,9 +10,11 @@ import pytest
 import trimesh
 from bench import Bench
 from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
 
 from annotator.app import mesh_import
 from annotator.app.object_summary import summarize
+from annotator.session import AddObject
 from annotator.session.residuals import FrameResidual
 from std_toolkit.checks.measure.ranking import PoseRank
 from std_toolkit.labels.texture.comparison import TextureComparison
@@ -111,3 +113,26 @@ def test_the_tip_of_an_object_has_its_whole_name(bench: Bench) -> None:
     objects = bench.space.objects.list.model()
     tip = objects.data(objects.index(0, 0), Qt.ItemDataRole.ToolTipRole)
     assert tip.startswith("box_1 (box)\n")
+
+
+def test_a_long_list_of_objects_is_searched(bench: Bench) -> None:
+    panel = bench.space.objects
+    assert not panel.search.isVisible()
+    known = [r.name for r in panel.model.rows]
+    for k in range(2, 9):
+        bench.session.apply(AddObject(object=f"box_{k}", model="box", material="specular"))
+    bench.settle()
+    assert panel.search.isVisible()
+    colours = {r.name: panel.model.color(r) for r in panel.model.rows}
+    bench.controller.select("box_1")
+    QTest.keyClicks(panel.search, "specular not")
+    shown = [r.name for r in panel.model.rows]
+    assert shown == [f"box_{k}" for k in range(2, 9)]
+    assert {r.name: panel.model.color(r) for r in panel.model.rows}.items() <= colours.items()
+    # The selection stays, though it is not shown.
+    assert bench.controller.selected == "box_1"
+    assert panel.material.isEnabled()
+    panel.search.clear()
+    assert [r.name for r in panel.model.rows] == [*known, *shown]
+    panel.search.setText("nothing of this name")
+    assert panel.model.rows == []
