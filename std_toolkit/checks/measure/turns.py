@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,8 @@ class TurnSettings(Settings):
     """log likelihood of independent samples by which a turn fits clearly better"""
     undecided_gain: float = limit(0.0, source="neither pose is more likely")
     """a turn that loses by no more leaves it open which of them is right"""
+    fewest_frames: int = limit(3, source="in one image, a turn and an error of the pose look alike")
+    """frames that show the object"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +96,15 @@ class TurnComparison:
         self._scene, self._frames = scene, list(frames)
         self._poses = [T for f in self._frames if (T := scene.T_world_cam(f.id)) is not None]
         self._cameras = [scene.camera(f) for f in self._frames]
-        self._all = LabelCaster.of_scene(scene)
         self._images: OrderedDict[int, _Image | None] = OrderedDict()
 
+    @cached_property
+    def _all(self) -> LabelCaster:
+        return LabelCaster.of_scene(self._scene)
+
     def best(self, object_id: int, obj: RefineObject) -> TurnByContour | None:
-        """The turn whose contour fits best; None without one of a similar silhouette.
+        """The turn whose contour fits best; None without one of a similar silhouette, or with too
+        few frames.
 
         Args:
             object_id: of the object.
@@ -105,6 +112,8 @@ class TurnComparison:
         """
         T, centre = obj.T_world_obj, obj.T_world_obj @ obj.centre
         chosen = large_views(self._cameras, self._poses, centre, obj.radius, count=_FRAMES)
+        if len(chosen) < TurnSettings.current().fewest_frames:
+            return None
         near = near_symmetry(obj.vertices, obj.faces, obj.symmetry)
         turns = near.similar([self._poses[k].inverse() @ T for k in chosen[:_SILHOUETTES]])[:_MOST]
         if not turns:
