@@ -157,9 +157,17 @@ def refine(hand: Hands) -> None:
             hand.press(Qt.Key.Key_R)
             hand.settle()
             hand.wait(lambda name=name: name in c.residuals)
-    hand.settle()
+    judged(hand)
     hand.space.banner.notices.clear()
     _save("annotating_window", numbered(hand.picture(), parts(hand)))
+
+
+def judged(hand: Hands) -> None:
+    """Until the card of the selected object is complete."""
+    c = hand.controller
+    known = (c.residuals, c.ranks, c.findings.judgements)
+    hand.wait(lambda: all(c.selected in found for found in known))
+    hand.settle()
 
 
 def judge(hand: Hands, red: Image) -> None:
@@ -172,8 +180,7 @@ def judge(hand: Hands, red: Image) -> None:
     space.tabs.setCurrentWidget(space.residuals)
     for key in (Qt.Key.Key_3, Qt.Key.Key_Q, Qt.Key.Key_Space):
         hand.press(key)
-    hand.wait(lambda: "mug" in c.residuals)
-    hand.settle()
+    judged(hand)
     _save("annotating_contour", hand.picture(space.views, space.inspector))
     c.select("glass")
     hand.press(Qt.Key.Key_1)
