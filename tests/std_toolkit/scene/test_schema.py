@@ -9,7 +9,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from std_toolkit.checks.document_schema import document_schema, document_types, schema_bytes
+from std_toolkit.cli.document_schema import document_schema, document_types, schema_bytes
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(REPOSITORY / "tests/std_toolkit/exporters"))

@@ -1,0 +1,89 @@
+"""What each command of `std-curate project` takes.
+
+The command lines are generated from these dataclasses (see `std_toolkit.cli.command_options`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from std_toolkit.jobs.door import Writes
+from std_toolkit.options import Whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectOptions:
+    """The project that a command is about."""
+
+    project: Path = field(metadata={"writes": Writes("scene")})
+    """folder of the project"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CreateCommand(ProjectOptions):
+    """Make a project of scenes: write PROJECT/project.json.
+
+    Scenes stay where they are and can be used without the project. Every --twice-every'th scene is
+    labelled a second time, blind; who labelled a scene may not review it; a scene is accepted when
+    a person reviewed it, the check calls no label wrong, and each doubtful or unknown label has
+    that person's reason.
+    """
+
+    scenes: tuple[Path, ...] = ()
+    """folders of scenes"""
+    people: tuple[str, ...] = ()
+    """names or initials, as in the labels (--annotator)"""
+    twice_every: Whole = 10
+    """label every so many scenes twice, blind; 0 for none"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddCommand(ProjectOptions):
+    """Add scenes and people to a project, or change its rule of second labels."""
+
+    scenes: tuple[Path, ...] = ()
+    """folders of scenes"""
+    people: tuple[str, ...] = ()
+    """names or initials"""
+    twice_every: Whole | None = None
+    """label every so many scenes twice, blind; 0 for none (default: as it is)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatusCommand(ProjectOptions):
+    """Print the board of a project: what each scene waits for, verdicts, people, minutes.
+
+    With --for, print what is due for a person, the first task first. The exit status is 1 if a
+    scene cannot be read.
+    """
+
+    person: str | None = field(default=None, metadata={"option": "for"})
+    """print what is due for this person"""
+    objects: bool = False
+    """print a row per object"""
+    json: bool = False
+    """print JSON"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReviewCommand(ProjectOptions):
+    """Accept the labels of a scene, send it back with a reason, or give the reason of a label.
+
+    The review is stored in the scene (review.json). It holds until a label changes. The exit
+    status is 1 if something stands against the acceptance.
+    """
+
+    scene: str = field(metadata={"option": ""})
+    """name or folder of the scene"""
+    by: str = field(metadata={"option": "by"})
+    """the reviewer; who labelled the scene may not review it"""
+    accept: bool = False
+    """accept all labels as they are"""
+    send_back: str | None = None
+    """send the scene back, with this reason"""
+    reason: Mapping[str, str] = field(default_factory=dict, metadata={"repeat": True})
+    """why the label of this object is kept although it is doubtful or unknown; with --send-back,
+    what is wrong with it; may be repeated"""
