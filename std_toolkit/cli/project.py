@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from std_toolkit import commands, options
 from std_toolkit.cli.command import print_json
 from std_toolkit.errors import ToolkitError
-from std_toolkit.project.options import AddCommand, CreateCommand, ReviewCommand, StatusCommand
+from std_toolkit.options import JobOptions
+from std_toolkit.project.options import (
+    AddCommand,
+    CreateCommand,
+    ReviewCommand,
+    RunCommand,
+    StatusCommand,
+)
+
+if TYPE_CHECKING:
+    from std_toolkit.project.record import Project
+    from std_toolkit.project.status import SceneRow
+
+_LOGS = Path(".std") / "runs"
+_SHARED = ("refine", "refine_scale", "poses", "render", "jobs")
 
 
 def create(command: CreateCommand) -> int:
@@ -35,11 +56,15 @@ def add(command: AddCommand) -> int:
     return _made(project, problems)
 
 
-def _made(project, problems) -> int:  # type: ignore[no-untyped-def]
+def _made(project: Project, problems: list[ToolkitError]) -> int:
+    from std_toolkit.project.shared import share_meshes
+
     if problems:
         for problem in problems:
             print(f"error: {problem}", file=sys.stderr)
         return 1
+    for line in share_meshes(project):
+        print(f"note: {line}")
     record = project.record
     people = ", ".join(record.people) or "nobody yet"
     print(f"{project.root}: {len(record.scenes)} scenes, people: {people}")
@@ -87,3 +112,83 @@ def review(command: ReviewCommand) -> int:
         told = "accepted" if command.accept else "noted" if command.send_back is None else "sent back"
         print(f"{command.scene}: {told} by {command.by}")
     return 1 if against else 0
+
+
+def run(command: RunCommand) -> int:
+    """Take every scene through the steps that are due; 1 if one failed or a label is wrong."""
+    from std_toolkit.jobs import run_jobs
+    from std_toolkit.project.record import Project
+    from std_toolkit.project.shared import make_second, share_meshes
+    from std_toolkit.project.status import due_steps, needs_second, project_board
+
+    project = Project.open(command.project)
+    for line in share_meshes(project):
+        print(f"note: {line}")
+    failed: dict[str, str] = {}
+    for item, row in zip(project.record.scenes, project_board(project), strict=True):
+        if needs_second(row):
+            try:
+                make_second(project, item)
+                print(f"{row.name}: to be labelled again in {project.second(item)}")
+            except ToolkitError as error:
+                failed[f"{row.name} (second)"] = str(error)
+    items = due_steps(project, project_board(project))
+    alone = len(items) == 1 and command.jobs.engine != "ray"
+    inner = command.jobs if alone else JobOptions(engine="serial", progress=False)
+    step = partial(_run_scene, command=replace(command, jobs=inner), logs=project.root / _LOGS)
+    report = run_jobs(step, items, name="scenes", key=lambda item: item[0], options=command.jobs)
+    failed |= report.failed
+    rows = project_board(project)
+    wrong = _wrong(rows, [name for name, _, _ in items])
+    for name, why in {**failed, **wrong}.items():
+        log = project.root / _LOGS / f"{name}.log"
+        print(f"failed: {name}: {why}" + (f"; see {log}" if log.is_file() else ""))
+    done = len(report.results) - len(wrong.keys() & report.results.keys())
+    waiting = sum(row.stage in ("to label", "to correct", "to review", "to fix") for row in rows)
+    accepted = sum(row.stage == "accepted" for row in rows)
+    print(
+        f"{done} scenes done, {len(failed) + len(wrong)} failed; of all {len(rows)}, {waiting} "
+        f"wait for a person, {accepted} are accepted"
+    )
+    return 1 if failed or wrong else 0
+
+
+def _wrong(rows: list[SceneRow], names: list[str]) -> dict[str, str]:
+    """What the check says of the scenes that ran, where it fails them."""
+    found = {}
+    for row in rows:
+        gates = row.scene.check_gates
+        wrong = [f"{o.name} is wrong: {o.reason}" for o in row.scene.graded("wrong")]
+        if row.name in names and (gates or wrong):
+            found[row.name] = "; ".join([*gates, *wrong])
+    return found
+
+
+def _run_scene(item: tuple[str, Path, bool], *, command: RunCommand, logs: Path) -> None:
+    """Run what is due in a scene; its output goes to a file, the reason of a failure is raised."""
+    from std_toolkit.cli import labelling
+    from std_toolkit.io.atomic import write_bytes_atomic
+
+    name, folder, is_second = item
+    basics = {key: getattr(command, key) for key in _SHARED}
+    output = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            if is_second:
+                settings = options.PropagateOptions(
+                    refine=command.refine, refine_scale=command.refine_scale
+                )
+                again = commands.PropagateCommand(scene=folder, options=settings)
+                status = labelling.propagate(again)
+            else:
+                allowed = options.CheckBasics(allow_doubtful=True)
+                status = labelling.run(commands.RunCommand(scene=folder, check=allowed, **basics))
+    except BaseException as error:
+        output.write(f"error: {error}\n")
+        raise
+    finally:
+        write_bytes_atomic(logs / f"{name}.log", output.getvalue().encode())
+    lines = output.getvalue().splitlines()
+    checked = any(line == "== check" for line in lines)
+    if status and not checked:  # what the check says is told of the board
+        raise ToolkitError(lines[-1] if lines else "failed", path=folder)

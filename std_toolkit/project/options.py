@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from std_toolkit.commands import RunBasics
 from std_toolkit.jobs.door import Writes
 from std_toolkit.options import Whole
 
@@ -87,3 +88,14 @@ class ReviewCommand(ProjectOptions):
     reason: Mapping[str, str] = field(default_factory=dict, metadata={"repeat": True})
     """why the label of this object is kept although it is doubtful or unknown; with --send-back,
     what is wrong with it; may be repeated"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunCommand(ProjectOptions, RunBasics):
+    """Take every scene through the steps that are due: poses, propagate, render, check.
+
+    Scenes are worked on in parallel; one that fails does not stop the others. Completed steps are
+    kept: run the command again after an interruption. Scenes that wait for a person are left
+    alone. Copies for second, blind labels are made when the first labels are complete. Doubtful
+    labels are left to the reviewers. The exit status is 1 if a step failed or a label is wrong.
+    """

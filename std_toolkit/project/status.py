@@ -218,6 +218,27 @@ def _numbers(found: os.stat_result) -> list[int | str]:
     return [found.st_mtime_ns, found.st_size, found.st_ino]
 
 
+def needs_second(row: SceneRow) -> bool:
+    """Whether the copy for second, blind labels is due: the first labels are complete."""
+    scene = row.scene
+    complete = scene.objects and all(o.state != "open" for o in scene.objects)
+    return bool(row.twice and row.second is None and complete and scene.registered)
+
+
+def due_steps(project: Project, rows: Sequence[SceneRow]) -> list[tuple[str, Path, bool]]:
+    """What a machine can do: name, folder, and whether it is a second copy.
+
+    Of a second copy only the poses are needed, to compare them.
+    """
+    found: list[tuple[str, Path, bool]] = []
+    for item, row in zip(project.record.scenes, rows, strict=True):
+        if row.scene.next_step in _BY_MACHINE:
+            found.append((row.name, project.folder(item), False))
+        if row.second is not None and row.second.next_step == "propagate":
+            found.append((f"{row.name} (second)", project.second(item), True))
+    return found
+
+
 def project_table(rows: Sequence[SceneRow]) -> Table:
     """One row per scene: what it waits for, its objects by state and verdict, people, minutes."""
     words = ("scene", "state", "labelled", "reviewed", "refused", *GRADES, "by", "again",
