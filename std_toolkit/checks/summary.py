@@ -15,9 +15,7 @@ from std_toolkit.scene.scene import Scene
 
 # "restore" files, "fix" causes of failed gates, "label" and "look" at labels are for people, the
 # others are commands; "" is a scene that is complete.
-Step = Literal[
-    "restore", "poses", "label", "propagate", "render", "check", "fix", "look", ""
-]
+Step = Literal["restore", "poses", "label", "propagate", "render", "check", "fix", "look", ""]
 # A recording of a phone may have a camera for each image.
 _MOST_CAMERAS = 8
 

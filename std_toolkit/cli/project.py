@@ -17,6 +17,7 @@ from std_toolkit.options import JobOptions
 from std_toolkit.project.options import (
     AddCommand,
     CreateCommand,
+    ExportCommand,
     ReviewCommand,
     RunCommand,
     StatusCommand,
@@ -32,7 +33,7 @@ _SHARED = ("refine", "refine_scale", "poses", "render", "jobs")
 
 def create(command: CreateCommand) -> int:
     """Make a project; 1 if a folder is no scene."""
-    from std_toolkit.project.record import Project, Rules, create_project
+    from std_toolkit.project.record import Rules, create_project
 
     rules = Rules(twice_every=command.twice_every)
     project, problems = create_project(
@@ -109,7 +110,8 @@ def review(command: ReviewCommand) -> int:
     for line in against:
         print(f"error: {command.scene}: {line}", file=sys.stderr)
     if not against:
-        told = "accepted" if command.accept else "noted" if command.send_back is None else "sent back"
+        told = "noted" if command.send_back is None else "sent back"
+        told = "accepted" if command.accept else told
         print(f"{command.scene}: {told} by {command.by}")
     return 1 if against else 0
 
@@ -192,3 +194,35 @@ def _run_scene(item: tuple[str, Path, bool], *, command: RunCommand, logs: Path)
     checked = any(line == "== check" for line in lines)
     if status and not checked:  # what the check says is told of the board
         raise ToolkitError(lines[-1] if lines else "failed", path=folder)
+
+
+def export(command: ExportCommand) -> int:
+    """Write one data set of all accepted scenes."""
+    from std_toolkit.cli.recording import asked
+    from std_toolkit.project.dataset import export_project
+    from std_toolkit.project.record import Project
+    from std_toolkit.project.status import project_board
+
+    project = Project.open(command.project)
+    rows = project_board(project, fresh=True)
+    dataset = export_project(
+        project,
+        rows,
+        command.format,
+        command.out,
+        licence=command.licence,
+        shares=command.split,
+        by=command.split_by,
+        options=options.ExportOptions(**vars(command.options)),
+        jobs=asked(command.jobs),
+    )
+    frames = sum(scene.frames for scene in dataset.scenes)
+    print(
+        f"{command.out}: {len(dataset.scenes)} scenes, {frames} frames in the layout of "
+        f"{dataset.layout}"
+    )
+    for split, names in dataset.splits.items():
+        print(f"{split}: {', '.join(names)}")
+    if left := [row.name for row in rows if row.stage != "accepted"]:
+        print(f"not accepted and left out: {', '.join(left)}")
+    return 0

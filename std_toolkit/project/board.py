@@ -84,8 +84,12 @@ class SceneState:
 
     @property
     def labellers(self) -> list[str]:
-        """Who labelled, sorted; labels without a name are nobody's."""
-        return sorted({o.annotator for o in self.objects if o.annotator})
+        """Who labelled, sorted; labels without a name are nobody's.
+
+        A label that was merged of those of several people names them all.
+        """
+        names = (name for o in self.objects for name in o.annotator.split(", "))
+        return sorted({name for name in names if name})
 
     def graded(self, *grades: Grade) -> list[ObjectState]:
         """The labelled objects with one of these verdicts."""

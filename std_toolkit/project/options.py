@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from std_toolkit.commands import RunBasics
 from std_toolkit.jobs.door import Writes
-from std_toolkit.options import Whole
+from std_toolkit.options import ExportBasics, JobOptions, Whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,3 +99,27 @@ class RunCommand(ProjectOptions, RunBasics):
     alone. Copies for second, blind labels are made when the first labels are complete. Doubtful
     labels are left to the reviewers. The exit status is 1 if a step failed or a label is wrong.
     """
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportCommand(ProjectOptions):
+    """Write one data set of all accepted scenes.
+
+    Splits consist of whole scenes, never of frames. README.md and dataset.json have licence,
+    splits, and statistics of objects, poses, materials, viewpoints and label deviations. No names
+    of people are written.
+    """
+
+    format: str = field(metadata={"option": "format"})
+    """std, bop, nocs or a plug-in"""
+    out: Path = field(metadata={"option": "out", "writes": Writes("place")})
+    """new folder of the data set"""
+    licence: str = field(metadata={"option": "licence"})
+    """licence of images, labels and meshes, such as CC-BY-4.0"""
+    split: Mapping[str, float] = field(default_factory=lambda: {"test": 1.0})
+    """fraction of the scenes of each split (train, val, test); their sum is 1"""
+    split_by: Literal["name", "order"] = "name"
+    """assign scenes by a digest of their names, so that none changes its split when scenes are
+    added, or in their order in the project, which meets the fractions best"""
+    options: ExportBasics = field(default_factory=ExportBasics)
+    jobs: JobOptions = field(default_factory=JobOptions)

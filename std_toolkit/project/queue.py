@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Literal
 
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.project.board import SceneState
 from std_toolkit.project.record import Project
 from std_toolkit.project.status import SceneRow, objections, scene_row
 from std_toolkit.scene.review import Review, add_review, label_digests
@@ -50,41 +50,45 @@ def due_for(project: Project, rows: Sequence[SceneRow], person: str) -> list[Due
     """
     _known(project, person)
     turn, people = project.record.people.index(person), len(project.record.people)
-    correct, reviews, again, begun, fresh = [], [], [], [], []
+    correct, again = [], []
+    reviews: list[tuple[tuple[int, int], Due]] = []
+    begun: list[Due] = []
+    fresh: list[tuple[tuple[int, int], Due]] = []
     for index, (item, row) in enumerate(zip(project.record.scenes, rows, strict=True)):
-        hands, scene = row.scene.labellers, row.scene
+        hands, scene, second = row.scene.labellers, row.scene, row.second
         mine = person in hands
-
-        def due(task: Task, about: str = "", folder: Path | None = None) -> Due:
-            shown = str(folder or row.scene.folder)
-            return Due(task=task, scene=row.name, folder=shown, about=about, held_by=row.held_by)
-
         if row.stage == "to correct" and (mine or not hands):
             wrong = [f"{o.name} is wrong: {o.reason}" for o in scene.graded("wrong")]
             told = [f"{scene.reviewer}: {scene.reason}"] if scene.reason else []
-            correct.append(due("correct", "; ".join([*told, *wrong])))
+            correct.append(_due("correct", row, "; ".join([*told, *wrong])))
         elif row.stage == "to review" and person not in row.hands:
             names = ", ".join(f"{o.name} {o.grade}" for o in scene.graded("doubtful", "unknown"))
-            reviews.append((-row.doubts, index, due("review", names)))
-        elif row.stage == "to label" and (mine or not hands):
-            rest = [o.name for o in scene.objects if o.state == "open"]
-            about = f"left: {', '.join(rest)}" if mine and rest else ""
-            place = ((index - turn) % max(people, 1), index)
-            (begun if mine else fresh).append((place, due("label", about)))
-        second = row.second
+            reviews.append(((-row.doubts, index), _due("review", row, names)))
+        elif row.stage == "to label" and mine:
+            begun.append(_due("label", row, _left(scene)))
+        elif row.stage == "to label" and not hands:
+            fresh.append((((index - turn) % people, index), _due("label", row, "")))
         if second is not None and not second.problem and not mine and person != scene.reviewer:
-            others = [name for name in second.labellers if name != person]
-            rest = [o.name for o in second.objects if o.state == "open"]
-            if rest and not others:
-                about = f"left: {', '.join(rest)}"
-                again.append(due("label again, blind", about, project.second(item)))
+            left = _left(second)
+            if left and {*second.labellers} <= {person}:
+                folder = str(project.second(item))
+                again.append(replace(_due("label again, blind", row, left), folder=folder))
     return [
         *correct,
-        *(found for *_, found in sorted(reviews, key=lambda r: r[:2])),
+        *(due for _, due in sorted(reviews, key=lambda found: found[0])),
         *again,
-        *(found for _, found in sorted(begun, key=lambda r: r[0])),
-        *(found for _, found in sorted(fresh, key=lambda r: r[0])),
+        *begun,
+        *(due for _, due in sorted(fresh, key=lambda found: found[0])),
     ]
+
+
+def _due(task: Task, row: SceneRow, about: str) -> Due:
+    return Due(task=task, scene=row.name, folder=row.scene.folder, about=about, held_by=row.held_by)
+
+
+def _left(scene: SceneState) -> str:
+    names = [o.name for o in scene.objects if o.state == "open"]
+    return f"left: {', '.join(names)}" if names else ""
 
 
 def due_table(found: Sequence[Due]) -> Table:

@@ -76,8 +76,8 @@ class ProjectRecord(Document, frozen=True, kw_only=True):
         check_unique([s.name for s in self.scenes], "scenes", "name")
         check_unique(self.people, "people", "name")
         for i, person in enumerate(self.people):
-            if person != " ".join(person.split()) or not person.isprintable():
-                problem = "a name has no line breaks and no spaces at its ends"
+            if person != " ".join(person.split()) or not person.isprintable() or "," in person:
+                problem = "a name has no commas, line breaks or spaces at its ends"
                 raise ToolkitError(problem, field=f"people[{i}]", value=person)
 
 

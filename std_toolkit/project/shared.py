@@ -6,8 +6,6 @@ symmetries, `objects` one row for each material in which a mesh was seen.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.frame_files import place_file
 from std_toolkit.io.atomic import lock_holder, new_folder, write_bytes_atomic
@@ -111,9 +109,7 @@ def share_meshes(project: Project) -> list[str]:
     return list(dict.fromkeys(told))
 
 
-def _collected(
-    project: Project, scene: Scene, table: ObjectTable
-) -> tuple[ObjectTable, list[str]]:
+def _collected(project: Project, scene: Scene, table: ObjectTable) -> tuple[ObjectTable, list[str]]:
     """The library with the models of a scene, whose files are written, and what differs."""
     told = []
     models = {m.id: m for m in table.models}

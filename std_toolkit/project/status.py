@@ -196,7 +196,7 @@ def _read_cache(project: Project) -> dict[str, _Kept]:
 def _signature(folder: Path) -> str:
     """Digest of times and sizes of the files that the state of a scene depends on."""
     parts = [_stat(folder / name) for name in _LOOKED_AT]
-    parts += [stat for stat in _meshes(folder)]
+    parts += list(_meshes(folder))
     return digest_of(__version__, str(folder), parts, changed("checks.", "labels."))
 
 
@@ -204,7 +204,9 @@ def _meshes(folder: Path) -> Iterator[list[int | str]]:
     with suppress(OSError), os.scandir(folder / "models") as models:
         for model in sorted(models, key=lambda entry: entry.name):
             with suppress(OSError), os.scandir(model.path) as files:
-                yield from ([f.name, *_numbers(f.stat())] for f in sorted(files, key=lambda f: f.name))
+                yield from (
+                    [f.name, *_numbers(f.stat())] for f in sorted(files, key=lambda f: f.name)
+                )
 
 
 def _stat(path: Path) -> list[int | str]:

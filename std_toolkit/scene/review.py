@@ -148,6 +148,6 @@ def standing(reviews: Reviews, labels: Mapping[str, str]) -> Standing:
         refused = set(labels) if unchanged else set()
     if not refused:
         return Standing(reasons=reasons)
-    about = [last.reason, *(f"{n}: {last.reasons[n]}" for n in sorted(refused & {*last.reasons})) ]
+    about = [last.reason, *(f"{n}: {last.reasons[n]}" for n in sorted(refused & {*last.reasons}))]
     text = "; ".join(filter(None, about))
     return Standing(last.by, False, text, frozenset(refused), reasons)
