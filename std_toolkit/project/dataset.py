@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast, get_args
 
 import msgspec
 
@@ -48,8 +48,8 @@ from std_toolkit.scene.model import Labels
 from std_toolkit.scene.scene import Scene
 from std_toolkit.scene.sidecar import SIDECAR_NAME, Sidecar
 
-Splits = Literal["name", "order"]
-SPLITS = ("train", "val", "test")
+By = Literal["name", "order"]
+Split = Literal["train", "val", "test"]
 CARD = "README.md"
 # Layouts whose scenes lie below the folder of their split already.
 _JOINED = ("bop", "nocs")
@@ -67,7 +67,7 @@ class _Part:
 
 
 def assign_splits(
-    names: Sequence[str], shares: Mapping[str, float], by: Splits
+    names: Sequence[str], shares: Mapping[str, float], by: By
 ) -> dict[str, list[str]]:
     """Which scenes belong to which split: whole scenes, never frames.
 
@@ -89,7 +89,7 @@ def assign_splits(
     {'train': ['a', 'b', 'c'], 'test': ['d']}
     """
     for split, share in shares.items():
-        check_known(split, SPLITS, "no such split", field="--split")
+        check_known(split, get_args(Split), "no such split", field="--split")
         if not (math.isfinite(share) and 0 < share <= 1):
             raise ToolkitError("must be a fraction", field="--split", value=f"{split}={share:g}")
     if abs(sum(shares.values()) - 1) > 1e-6:
@@ -130,7 +130,7 @@ def export_project(
     *,
     licence: str,
     shares: Mapping[str, float],
-    by: Splits = "name",
+    by: By = "name",
     options: ExportOptions | None = None,
     jobs: JobOptions | None = None,
 ) -> Dataset:
@@ -174,7 +174,7 @@ def export_project(
     own = {
         name: replace(
             options,
-            split=split,
+            split=cast(Split, split),
             scene_number=numbers[name],
             scene_name=name,
             model_ids=models,
@@ -350,7 +350,7 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def _rule(shares: Mapping[str, float], by: Splits) -> str:
+def _rule(shares: Mapping[str, float], by: By) -> str:
     told = ", ".join(f"{split} {share:g}" for split, share in shares.items())
     how = {
         "name": "by a digest of its name: it stays in its split when scenes are added",

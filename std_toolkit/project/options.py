@@ -77,6 +77,9 @@ class ReviewCommand(ProjectOptions):
     status is 1 if something stands against the acceptance.
     """
 
+    # Here, too: positional arguments of a class precede those of its base.
+    project: Path = field(metadata={"writes": Writes("scene")})
+    """folder of the project"""
     scene: str = field(metadata={"option": ""})
     """name or folder of the scene"""
     by: str = field(metadata={"option": "by"})
