@@ -9,11 +9,11 @@ from pathlib import Path
 
 import msgspec
 
-from annotator.compare.annotated_scene import same_shape
 from annotator.compare.merge_labels import Merge
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import new_folder, sweep_temporaries
 from std_toolkit.io.documents import digest_file
+from std_toolkit.labels.agreement.annotated_scene import same_shape
 from std_toolkit.labels.entry.mesh_copies import plan_mesh_copy, write_mesh_copy
 from std_toolkit.project.shared import recording_files
 from std_toolkit.scene import Annotation, Labels, ObjectAnnotation, ObjectTable, Scene

@@ -84,6 +84,7 @@ PROGRAM = Program(
         _of_project("status", "print the board of a project, or what is due for a person"),
         _of_project("run", "take every scene of a project through the steps that are due"),
         _of_project("review", "accept the labels of a scene, or send it back with a reason"),
+        _of_project("agreement", "compare the scenes of a project that were labelled twice"),
         _of_project("export", "write one data set of all accepted scenes of a project"),
         _command(
             "schema", "print or write the JSON Schema of the documents", "recording:print_schema"

@@ -16,6 +16,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.options import JobOptions
 from std_toolkit.project.options import (
     AddCommand,
+    AgreementCommand,
     CreateCommand,
     ExportCommand,
     ReviewCommand,
@@ -226,3 +227,20 @@ def export(command: ExportCommand) -> int:
     if left := [row.name for row in rows if row.stage != "accepted"]:
         print(f"not accepted and left out: {', '.join(left)}")
     return 0
+
+
+def agreement(command: AgreementCommand) -> int:
+    """Compare scenes that were labelled twice; 1 if labels disagree or are not comparable."""
+    from std_toolkit.project import agreement as step
+    from std_toolkit.project.record import Project
+    from std_toolkit.project.status import project_board
+
+    project = Project.open(command.project)
+    found = step.agreement(
+        project, project_board(project), names=command.names, options=command.options
+    )
+    if command.json:
+        print_json(found)
+    else:
+        print("\n".join([step.agreement_table(found).terminal(), *step.agreement_lines(found)]))
+    return 1 if found.problems or any(p.verdict != "agree" for p in found.pairs) else 0

@@ -12,6 +12,7 @@ from typing import Literal
 
 from std_toolkit.commands import RunBasics
 from std_toolkit.jobs.door import Writes
+from std_toolkit.labels.agreement.options import CompareOptions
 from std_toolkit.options import ExportBasics, JobOptions, Whole
 
 
@@ -126,3 +127,18 @@ class ExportCommand(ProjectOptions):
     added, or in their order in the project, which meets the fractions best"""
     options: ExportBasics = field(default_factory=ExportBasics)
     jobs: JobOptions = field(default_factory=JobOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgreementCommand(ProjectOptions):
+    """Compare the scenes that were labelled twice: shift and turn between the labels of two people.
+
+    Symmetric poses count as equal. Prints median and 95 % by model and by two people, and each
+    disagreement. The exit status is 1 if labels disagree or a scene cannot be compared.
+    """
+
+    names: bool = False
+    """name the people instead of A, B, ..."""
+    options: CompareOptions = field(default_factory=CompareOptions)
+    json: bool = False
+    """print JSON"""
