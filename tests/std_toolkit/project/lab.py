@@ -63,9 +63,7 @@ def judge(scene: Scene, *, by: str, grades: Mapping[int, Grade]) -> None:
             refinement=f"mean of A ({by}) and B" if by else "",
             hands_on_s=90.0,
         )
-        labels.append(
-            msgspec.structs.replace(label, annotator=by, judgement=said, provenance=made)
-        )
+        labels.append(msgspec.structs.replace(label, annotator=by, judgement=said, provenance=made))
     scene.save_labels(Labels(labels=labels))
     (scene.root / "check").mkdir(exist_ok=True)
     passed = "false" if "wrong" in grades.values() else "true"
