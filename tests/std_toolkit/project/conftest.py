@@ -10,16 +10,13 @@ import pytest
 
 from tests.std_toolkit.project.lab import template
 
-# Runs a command and kills the process as `kill -9` does when it is about to move its n-th file or
-# folder to its place.
+# Runs a command and kills the process as `kill -9` does when it is about to move the first file or
+# folder to a path with some text in it.
 KILLED = """
 import os, pathlib, signal, sys
-left = int(sys.argv[1])
 def dying(move):
     def moved(self, target):
-        global left
-        left -= 1
-        if left == 0:
+        if sys.argv[1] in str(target):
             os.kill(os.getpid(), signal.SIGKILL)
         return move(self, target)
     return moved
@@ -37,12 +34,15 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def killed_at() -> Callable[[int, list[str]], int]:
-    """Runs `std-curate` in a process that is killed at its n-th move; returns the status."""
+def killed_at() -> Callable[[str, list[str]], int]:
+    """Runs `std-curate` in a process that is killed before a file is moved to its place.
 
-    def run(moves: int, words: list[str]) -> int:
+    Takes a part of the path of that file, and the words; returns the status.
+    """
+
+    def run(path: str, words: list[str]) -> int:
         done = subprocess.run(
-            [sys.executable, "-c", KILLED, str(moves), *words],
+            [sys.executable, "-c", KILLED, path, *words],
             env={**os.environ, "OMP_NUM_THREADS": "1"},
             capture_output=True,
             timeout=300,

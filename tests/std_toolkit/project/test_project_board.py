@@ -266,17 +266,18 @@ def test_meshes_are_shared_with_symmetry_and_material(lab: Project) -> None:
 
 
 def test_a_killed_review_or_addition_is_done_or_not(
-    lab: Project, killed_at: Callable[[int, list[str]], int]
+    lab: Project, killed_at: Callable[[str, list[str]], int]
 ) -> None:
     review_scene(lab, "fits", by="Ben", send_back="first")
     path = lab.folder(lab.find("fits")) / "review.json"
     before = path.read_bytes()
     words = ["project", "review", str(lab.root), "fits", "--by", "Ben", "--accept"]
-    assert killed_at(1, words) == -signal.SIGKILL
+    assert killed_at("review.json", words) == -signal.SIGKILL
     assert path.read_bytes() == before
     assert main(words) == 0
     assert [r.verdict for r in read_reviews(path.parent).reviews] == ["sent back", "accepted"]
-    assert killed_at(1, ["project", "add", str(lab.root), "--people", "Max"]) == -signal.SIGKILL
+    more = ["project", "add", str(lab.root), "--people", "Max"]
+    assert killed_at("project.json", more) == -signal.SIGKILL
     assert Project.open(lab.root) == lab
     assert extend_project(lab, people=["Max"])[0].record.people[-1] == "Max"
     left = [p for p in (lab.root, lab.root / ".std") for p in p.glob(".*.tmp*")]
