@@ -18,6 +18,7 @@ from typing import Any, Literal, cast, get_args
 
 import msgspec
 
+from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.exporters.bop_metadata import record_lines
 from std_toolkit.exporters.export_step import export_digest, export_scene
@@ -198,6 +199,7 @@ def export_project(
         dataset = Dataset(
             name=project.record.name,
             layout=format_name,
+            tool=__version__,
             licence=licence,
             rule=_rule(shares, by),
             digest=digest,

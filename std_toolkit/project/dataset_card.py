@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit import __version__
 from std_toolkit.scene.document import Count, Document, NonNegative
 from std_toolkit.scene.judgement import GRADES
 from std_toolkit.scene.model import pose_from_list
@@ -95,11 +95,11 @@ class Dataset(Document, frozen=True, kw_only=True):
         files: digest of the content of every other file by path.
     """
 
-    format: str = "std-toolkit-dataset"
-    format_version: int = 1
+    format: Literal["std-toolkit-dataset"] = "std-toolkit-dataset"
+    format_version: Literal[1] = 1
     name: str
     layout: str
-    tool: str = __version__
+    tool: str
     licence: str
     rule: str
     digest: str

@@ -110,7 +110,10 @@ class Project:
 
     def folder(self, scene: ProjectScene) -> Path:
         """Folder of a scene."""
-        return self.root / scene.path
+        folder = self.root / scene.path
+        plain = Path(os.path.normpath(folder))
+        # Not the same folder where the project is reached by a link.
+        return plain if plain.resolve() == folder.resolve() else folder
 
     def second(self, scene: ProjectScene) -> Path:
         """Folder of the copy that is labelled a second time."""

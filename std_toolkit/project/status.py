@@ -23,7 +23,7 @@ from std_toolkit.io.atomic import lock_holder, write_bytes_atomic
 from std_toolkit.io.documents import digest_of
 from std_toolkit.project.board import SceneState, scene_state
 from std_toolkit.project.record import Project, ProjectScene
-from std_toolkit.scene.judgement import GRADES
+from std_toolkit.scene.judgement import GRADES, Grade
 from std_toolkit.settings import changed
 
 Stage = Literal[
@@ -39,6 +39,7 @@ _LOOKED_AT = (
     "review.json", "check/report.json", "check/report.html", ".std/records/check.json",
     "gt/info", "color", "depth",
 )  # fmt: skip
+_TO_LOOK_AT: tuple[Grade, ...] = ("wrong", "doubtful", "unknown")
 _BY_MACHINE = ("poses", "propagate", "render", "check")
 
 
@@ -303,7 +304,7 @@ def board_lines(rows: Sequence[SceneRow]) -> list[str]:
     lines += [f"not accepted: {row.name}: {why}" for row in rows for why in row.objections]
     lines += [
         f"{o.grade}: {row.name}: {o.name}: {o.reason}"
-        for grade in ("wrong", "doubtful")
+        for grade in _TO_LOOK_AT
         for row in rows
         for o in row.scene.graded(grade)
     ]
