@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +11,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
+from std_toolkit.labels.agreement.options import CompareOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,22 +58,6 @@ class AnnotateOptions:
             raise ToolkitError("--host and --token need --web")
         if self.scene is None and (self.script is not None or self.web is not None):
             raise ToolkitError("--script and --web need SCENE")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CompareOptions:
-    """Options of the comparison of labels."""
-
-    threshold_mm: Annotated[float, msgspec.Meta(gt=0)] = 5.0
-    """largest MSSD at which two labels agree, in the annotated frame and in the median over all
-    common frames"""
-    as_annotated: bool = False
-    """take the poses as set by hand, before any refinement over several frames"""
-
-    def __post_init__(self) -> None:
-        check_options(self)
-        if not isfinite(self.threshold_mm):
-            raise ToolkitError("must be finite", field="threshold_mm", value=self.threshold_mm)
 
 
 @dataclass(frozen=True, kw_only=True)

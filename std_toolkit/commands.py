@@ -246,7 +246,20 @@ class ExportCommand:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunCommand:
+class RunBasics:
+    """What `std-curate run` and `std-curate project run` share."""
+
+    refine: bool = True
+    """refinement: propagate the annotated poses unchanged"""
+    refine_scale: bool = False
+    """correct the scale of the camera poses from the known sizes of the objects"""
+    poses: PoseBasics = field(default_factory=PoseBasics)
+    render: RenderBasics = field(default_factory=RenderBasics)
+    jobs: JobOptions = field(default_factory=JobOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunCommand(RunBasics):
     """Run poses, propagate --refine, render and check on a scene with labelled objects.
 
     Completed steps and frames are kept, outdated ones are repeated. Run the command again after an
@@ -256,14 +269,7 @@ class RunCommand:
 
     scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
-    refine: bool = True
-    """refinement: propagate the annotated poses unchanged"""
-    refine_scale: bool = False
-    """correct the scale of the camera poses from the known sizes of the objects"""
-    poses: PoseBasics = field(default_factory=PoseBasics)
-    render: RenderBasics = field(default_factory=RenderBasics)
     check: CheckBasics = field(default_factory=CheckBasics)
-    jobs: JobOptions = field(default_factory=JobOptions)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -356,21 +356,15 @@ _NOT_OF_LABELS = frozenset(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions:
-    """Options of writing a labelled scene in another layout."""
+class ExportBasics:
+    """Options of exports of one scene and of a project."""
 
     label_size: tuple[int, int] | None = field(default=None, metadata={"size": True})
     """STD: size of the label images (default: half the size for 1280x720 colour, else the size of
     colour)"""
-    scene_number: Annotated[int, msgspec.Meta(ge=0, le=999999)] = 1
-    """BOP, NOCS: number of the scene"""
-    split: Literal["train", "val", "test"] = "test"
-    """BOP, NOCS: name of the split folder"""
     quaternion: Literal["dreds", "plain"] = "dreds"
     """STD: rotation in the meta file: dreds (inverse, as the DREDS generator writes it) or plain
     (object to camera)"""
-    allow_wrong: bool = False
-    """export although a label is wrong or a gate of the scene failed; the export says so"""
     only: Literal["all", "fits"] = "all"
     """fits: leave out objects whose label is wrong, doubtful or unknown: their pixels become
     background"""
@@ -386,3 +380,19 @@ class ExportOptions:
         check_options(self)
         if self.label_size is not None and min(self.label_size) < 1:
             raise ToolkitError("must be positive", field="label_size", value=self.label_size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions(ExportBasics):
+    """Options of writing a labelled scene in another layout."""
+
+    scene_number: Annotated[int, msgspec.Meta(ge=0, le=999999)] = 1
+    """BOP, NOCS: number of the scene"""
+    split: Literal["train", "val", "test"] = "test"
+    """BOP, NOCS: name of the split folder"""
+    allow_wrong: bool = False
+    """export although a label is wrong or a gate of the scene failed; the export says so"""
+    scene_name: str = field(default="", metadata={"option": None})
+    """STD: folder of the frames; "" is the name of the scene"""
+    model_ids: tuple[str, ...] = field(default=(), metadata={"option": None})
+    """BOP: models whose positions are the numbers of objects; () are those of the scene"""

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from std_toolkit.cli.command import Command, Program, _load
-from std_toolkit.cli.option_fields import option_fields
+from std_toolkit.cli.option_fields import MAPPINGS, option_fields
 from std_toolkit.cli.programs import PROGRAMS
 from std_toolkit.cli.programs import _load as program_of
 from std_toolkit.jobs.door import Writes
@@ -67,7 +67,9 @@ READ = [(p, c, o) for p, c, o in EVERY if of_path(o.type) and "writes" not in o.
 NAMED = [
     (p, c, o)
     for p, c, o in EVERY
-    if o.title in PLUG_INS and str in (o.type, *typing.get_args(o.type))
+    if o.title in PLUG_INS
+    and str in (o.type, *typing.get_args(o.type))
+    and typing.get_origin(o.type) not in MAPPINGS  # NAME=VALUE is no plug-in
 ]
 
 

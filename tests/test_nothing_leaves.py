@@ -40,6 +40,13 @@ ROWS: dict[str, dict[str, tuple[str, int]]] = {
         "check": ("a --engine serial", 1),
         "export": ("a --format bop --out bop --engine serial --allow-wrong", 0),
         "run": ("b --engine serial", 1),
+        "project create": ("p --scenes a --people me", 0),
+        "project add": ("p --people you", 0),
+        "project status": ("p", 0),
+        "project run": ("p --engine serial", 0),
+        "project review": ("p a --by me --send-back turned", 0),
+        "project agreement": ("p", 1),
+        "project export": ("p --format bop --out set --licence MIT", 1),
         "schema": ("scene", 0),
         "settings": ("checks.gates", 0),
     },
@@ -173,7 +180,7 @@ def test_every_command_asks_nobody_and_leaves_nothing(
         for command, (words, _) in table.items()
     ]
     done, left = alone(tmp_path, ["-c", DRIVER, json.dumps(rows)], seconds=3600)
-    found = dict(re.findall(r"^STATUS (\S+ \S+) (\S+)", done.stderr, re.MULTILINE))
+    found = dict(re.findall(r"^STATUS (.+) (\S+) [\d.]+ s$", done.stderr, re.MULTILINE))
     wanted = {f"{p} {c}": str(status) for p, t in ROWS.items() for c, (_, status) in t.items()}
     assert found == wanted, done.stderr
     assert "OUT:" not in done.stderr

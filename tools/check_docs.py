@@ -173,7 +173,7 @@ def _command(line: str) -> Iterator[str]:
         return
     if not words or not words[0].startswith("std-"):
         return
-    page = help_page(words[0], words[1] if len(words) > 1 else "", "--live" in words)
+    page = help_page(words[0], " ".join(words[1:3]), "--live" in words)
     for word in words[1:]:
         option = word.partition("=")[0]
         if re.fullmatch(r"--[a-z][a-z-]+", option) and option not in page and option != "--live":
@@ -181,14 +181,15 @@ def _command(line: str) -> Iterator[str]:
 
 
 @cache
-def help_page(program: str, first: str, live: bool) -> str:
-    """The help of the command that a command line runs."""
+def help_page(program: str, begin: str, live: bool) -> str:
+    """The help of the command that a command line of these first two words runs."""
     from std_toolkit.cli.programs import PROGRAMS
 
     if program not in PROGRAMS:
         return ""
     made = import_module(PROGRAMS[program]).PROGRAM
     known = {command.name for command in made.commands}
+    first = begin if begin in known else begin.partition(" ")[0]
     words = [] if len(known) == 1 else [first if first in known else made.default or "--help"]
     if live:
         words = ["live"]

@@ -11,14 +11,14 @@ import pandas as pd
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from annotator.compare.annotated_scene import LabelledObject
-from annotator.compare.comparison import Comparison, ObjectAgreement, _row
 from annotator.compare.merge_labels import Merge
 from std_toolkit import __version__
 from std_toolkit.checks.measure.contours import Contour, LabelCaster, trace_contour
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io import atomic, documents, images
+from std_toolkit.labels.agreement.annotated_scene import LabelledObject
+from std_toolkit.labels.agreement.comparison import Comparison, ObjectAgreement, _row
 
 # Columns of `object_table` shown in the terminal, with their headings.
 _SHOWN = {

@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.compare.annotated_scene import AnnotatedScene, LabelledObject
-from annotator.compare.pose_difference import surface_distance
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Symmetry
 from std_toolkit.geometry.se3 import skew
 from std_toolkit.geometry.symmetry import nearest_variant
+from std_toolkit.labels.agreement.annotated_scene import AnnotatedScene, LabelledObject
+from std_toolkit.labels.agreement.pose_difference import surface_distance
 from std_toolkit.labels.propagate import AnnotatedView, fuse_views
 from std_toolkit.scene import Label, LabelProvenance
 

@@ -10,14 +10,16 @@ from itertools import combinations
 from string import ascii_uppercase
 from typing import Literal
 
-from annotator.compare import annotated_scene
-from annotator.compare.comparison import ObjectAgreement, agreement_of
 from annotator.compare.joint_label import joint_label
-from annotator.compare.shared_recording import shared_recording
-from annotator.options import CompareOptions, MergeOptions
+from annotator.compare.unsaved_work import work_notes
+from annotator.options import MergeOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.symmetry import common_symmetry
+from std_toolkit.labels.agreement import annotated_scene
+from std_toolkit.labels.agreement.comparison import ObjectAgreement, agreement_of
+from std_toolkit.labels.agreement.options import CompareOptions
+from std_toolkit.labels.agreement.shared_recording import shared_recording
 from std_toolkit.scene import Annotation, Label, Object, ObjectAnnotation, Scene
 
 Outcome = Literal["merged", "taken", "open"]
@@ -120,7 +122,7 @@ def merge_labels(
                     f"{match.b.owner.name}: same mesh, nearest position"
                 )
         groups += [[x] for x in matching.only_b]
-    notes += [note for annotated in annotators for note in annotated_scene.work_notes(annotated)]
+    notes += [note for annotated in annotators for note in work_notes(annotated)]
     if not groups:
         raise ToolkitError("none of the scenes has labels", path=scenes[0].root)
     check_taken(options, groups)

@@ -9,18 +9,14 @@ from pathlib import Path
 
 import msgspec
 
-from annotator.compare.annotated_scene import same_shape
 from annotator.compare.merge_labels import Merge
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import new_folder, sweep_temporaries
 from std_toolkit.io.documents import digest_file
-from std_toolkit.jobs.artefact import record_path
+from std_toolkit.labels.agreement.annotated_scene import same_shape
 from std_toolkit.labels.entry.mesh_copies import plan_mesh_copy, write_mesh_copy
+from std_toolkit.project.shared import recording_files
 from std_toolkit.scene import Annotation, Labels, ObjectAnnotation, ObjectTable, Scene
-
-# Copied folders of recording and reconstruction; labels and data derived from them are not copied.
-_FOLDERS = ("reference", "poses")
-_BOARD = "board.json"
 
 
 def write_scene(merge: Merge, out: Path) -> Scene:
@@ -39,7 +35,7 @@ def write_scene(merge: Merge, out: Path) -> Scene:
             )
     source = merge.target.scene
     with new_folder(out) as staging:
-        for name in _recording_files(source):
+        for name in recording_files(source):
             _copy(source.root / name, staging / name)
         scene = Scene.create(staging, source.info, source.frame_table, _table(merge, staging))
         if source.poses is not None:
@@ -134,26 +130,6 @@ def _table(merge: Merge, root: Path) -> ObjectTable:
         models=sorted(models.values(), key=lambda m: m.id),
         objects=sorted(objects.values(), key=lambda o: o.id),
     )
-
-
-def _recording_files(scene: Scene) -> list[str]:
-    """Return the scene-relative paths of the files of the unlabelled scene."""
-    names = [f.color for f in scene.frames]
-    names += [f.depth for f in scene.frames if f.depth is not None]
-    for model in scene.objects.models:
-        folder = scene.mesh_path(model).parent
-        # Materials and textures are in the folder of the mesh.
-        beside = sorted(folder.iterdir()) if folder.parent.name == "models" else []
-        files = [p for p in beside if p.is_file() and not p.name.startswith(".")]
-        names += [p.relative_to(scene.root).as_posix() for p in files] or [model.mesh]
-    for folder_name in _FOLDERS:
-        found = sorted(p for p in (scene.root / folder_name).rglob("*") if p.is_file())
-        names += [p.relative_to(scene.root).as_posix() for p in found]
-    # With its record, the pose step detects that the poses are up to date.
-    for path in (scene.root / _BOARD, record_path(scene.root, "poses")):
-        if path.is_file():
-            names.append(path.relative_to(scene.root).as_posix())
-    return list(dict.fromkeys(names))
 
 
 def _copy(source: Path, target: Path) -> None:

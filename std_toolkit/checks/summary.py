@@ -6,12 +6,16 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.scene.check_flags import read_check_flags
 from std_toolkit.scene.label_verdicts import UNCHECKED, LabelVerdict, label_verdicts
 from std_toolkit.scene.scene import Scene
 
+# "restore" files, "fix" causes of failed gates, "label" and "look" at labels are for people, the
+# others are commands; "" is a scene that is complete.
+Step = Literal["restore", "poses", "label", "propagate", "render", "check", "fix", "look", ""]
 # A recording of a phone may have a camera for each image.
 _MOST_CAMERAS = 8
 
@@ -36,6 +40,7 @@ class SceneSummary:
         check_gates: sentences on the gates of the scene that the check failed.
         verdicts: one per labelled object.
         reference: kinds of maps from the import.
+        next_step: what is missing, see `Step`.
         next_command: what to run next, or None if the scene is complete.
     """
 
@@ -64,7 +69,8 @@ class SceneSummary:
     check_gates: list[str]
     verdicts: list[LabelVerdict]
     reference: list[str]
-    next_command: str | None
+    next_step: Step = ""
+    next_command: str | None = None
 
     def lines(self) -> list[str]:
         """The summary as text, one fact per line."""
@@ -168,9 +174,9 @@ def summarise(scene: Scene) -> SceneSummary:
         check_gates=[] if flags is None else [str(gate) for gate in flags.gates],
         verdicts=label_verdicts(scene),
         reference=sorted(p.name for p in reference.iterdir()) if reference.is_dir() else [],
-        next_command=None,
     )
-    return replace(found, next_command=_next_command(found))
+    step, command = _next(found)
+    return replace(found, next_step=step, next_command=command)
 
 
 @dataclass(frozen=True)
@@ -243,32 +249,34 @@ def frame_table(rows: Sequence[FrameSummary]) -> Table:
     )
 
 
-def _next_command(found: SceneSummary) -> str | None:
+def _next(found: SceneSummary) -> tuple[Step, str | None]:
     scene = shlex.quote(str(found.root))
     if found.missing_files:
-        return f"restore the missing files or import again: {found.missing_files[0]}"
+        what = f"restore the missing files or import again: {found.missing_files[0]}"
+        return "restore", what
     if found.registered is None:
         alone = f" (not needed to render only the annotated frames: std-curate render {scene})"
-        return f"std-curate poses {scene}{alone if found.labelled else ''}"
+        return "poses", f"std-curate poses {scene}{alone if found.labelled else ''}"
     if found.failed_gates:
-        return f"fix the causes of the failed gates, then std-curate poses {scene}"
+        return "fix", f"fix the causes of the failed gates, then std-curate poses {scene}"
     if not found.objects or len(found.labelled) < len(found.objects):
-        return f"std-curate label {scene} ..."
+        return "label", f"std-curate label {scene} ..."
     if len(found.propagated) < len(found.labelled):
-        return f"std-curate propagate {scene} --refine"
+        return "propagate", f"std-curate propagate {scene} --refine"
     if found.stale_ground_truth or found.ground_truth < (found.registered or 0):
-        return f"std-curate render {scene}"
+        return "render", f"std-curate render {scene}"
     if found.check_passed is None or any(v.reason == UNCHECKED for v in found.verdicts):
-        return f"std-curate check {scene}"
+        return "check", f"std-curate check {scene}"
+    report = "(check/report.html)"
     if found.check_gates:
-        return (
-            f"fix the causes of the failed gates (check/report.html), then std-curate run {scene}"
-        )
+        then = f"fix the causes of the failed gates {report}, then std-curate run {scene}"
+        return "fix", then
     bad = [v for v in found.verdicts if v.grade in ("wrong", "doubtful")]
     if not found.check_passed or any(v.grade == "wrong" for v in bad):
         names = f"the labels of {', '.join(v.name for v in bad)}" if bad else "the labels"
-        return f"look at {names} (check/report.html) and correct them, then std-curate run {scene}"
-    return None
+        then = f"look at {names} {report} and correct them, then std-curate run {scene}"
+        return "look", then
+    return "", None
 
 
 def _camera_line(key: str, scene: Scene) -> str:

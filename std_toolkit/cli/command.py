@@ -32,6 +32,7 @@ from std_toolkit.plugins import error_of_plugin
 WRONG_USAGE = 2
 SHELLS = ("bash", "zsh", "fish")
 COMPLETION = "--print-completion"
+_EVERYWHERE = ("--quiet", "--debug")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +40,7 @@ class Command:
     """One command of a program.
 
     Attributes:
-        name: the word that chooses it.
+        name: the word that chooses it, or two words of a group: "project create".
         about: one line for the help of the program.
         options: `module:Class` of its options, a dataclass.
         run: `module:function` that takes the options and returns the exit status (None is 0).
@@ -110,7 +111,8 @@ class Program:
             return status_after(signals)
 
     def _main(self, words: list[str]) -> int:
-        first = next((word for word in words if word not in ("--quiet", "--debug")), None)
+        words = self._joined(words)
+        first = next((word for word in words if word not in _EVERYWHERE), None)
         alone = len(self.commands) == 1
         named = {} if alone else {command.name: command for command in self.commands}
         chosen = named.get(first or "")
@@ -126,6 +128,12 @@ class Program:
         if chosen is None and (first in ("-h", "--help") or (first is None and not self.default)):
             print(self.help())
             return 0 if first else WRONG_USAGE
+        if chosen is None and any(name.startswith(f"{first} ") for name in named):
+            group = [name for name in named if name.startswith(f"{first} ")]
+            if {"-h", "--help"} & {*words}:
+                print(self.help(group))
+                return 0
+            raise UsageError(f"{first}: expected one of {', '.join(group)}")
         if chosen is None:
             if not self.default or (first and first[0] != "-" and first.replace("-", "").isalpha()):
                 reason = f"no command of {self.name}; expected one of {', '.join(named)}"
@@ -135,6 +143,14 @@ class Program:
             place = words.index(chosen.name)
             rest = [*words[:place], *words[place + 1 :]]
         return self._run(chosen, rest)
+
+    def _joined(self, words: list[str]) -> list[str]:
+        """The words, where the two of a command in a group are one."""
+        places = [i for i, word in enumerate(words) if word not in _EVERYWHERE][:2]
+        pair = " ".join(words[i] for i in places)
+        if len(places) < 2 or not any(command.name == pair for command in self.commands):
+            return words
+        return [pair, *(word for i, word in enumerate(words) if i not in places)]
 
     def _title(self, command: Command) -> str:
         return self.name if len(self.commands) == 1 else f"{self.name} {command.name}"
@@ -163,11 +179,12 @@ class Program:
             on_interrupt=self.on_interrupt,
         )
 
-    def help(self) -> str:
-        """The overview: what the program is for and its commands."""
-        width = max(len(command.name) for command in self.commands) + 2
+    def help(self, group: Sequence[str] = ()) -> str:
+        """The overview: what the program is for and its commands, or those of a group."""
+        shown = [command for command in self.commands if not group or command.name in group]
+        width = max(len(command.name) for command in shown) + 2
         lines = [f"usage: {self.name} COMMAND [OPTIONS]", "", self.about, "", "commands:"]
-        lines += [f"  {command.name:{width}}{command.about}" for command in self.commands]
+        lines += [f"  {command.name:{width}}{command.about}" for command in shown]
         lines += [
             "",
             "options:",

@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from std_toolkit.cli.option_fields import MAPPINGS, build_options, option_fields
 from std_toolkit.errors import ToolkitError, check_options
@@ -134,10 +134,25 @@ def print_completion(kinds: Mapping[str, type[Any]], shell: str, program: str) -
 
     calls: dict[str, Callable[..., Any]] = {n: _with_common(k) for n, k in kinds.items()}
     arguments = ["--tyro-print-completion", shell]
-    if len(calls) == 1:
-        tyro.cli(*calls.values(), prog=program, args=arguments, config=_markers())
-    else:
-        tyro.extras.subcommand_cli_from_dict(calls, prog=program, args=arguments, config=_markers())
+    chosen = next(iter(calls.values())) if len(calls) == 1 else _choice(calls)
+    tyro.cli(chosen, prog=program, args=arguments, config=_markers())
+
+
+def _choice(calls: Mapping[str, Callable[..., Any]]) -> Any:
+    """The type of a command line that chooses one of them; two words are a command of a group."""
+    from tyro import conf
+
+    groups: dict[str, dict[str, Callable[..., Any]]] = {}
+    for name, call in calls.items():
+        first, _, second = name.partition(" ")
+        groups.setdefault(first, {})[second] = call
+    kinds: list[Any] = [
+        Annotated[Any, conf.subcommand(name=name, constructor=group[""])]
+        if "" in group
+        else Annotated[_choice(group), conf.subcommand(name=name)]
+        for name, group in groups.items()
+    ]
+    return Union[tuple(kinds)]  # noqa: UP007 - made of a list
 
 
 def values_of(options: Any) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:

@@ -31,6 +31,15 @@ def _command(name: str, about: str, run: str, options: str = "") -> Command:
     return Command(name=name, about=about, options=f"std_toolkit.commands:{options}", run=run)
 
 
+def _of_project(name: str, about: str) -> Command:
+    return Command(
+        name=f"project {name}",
+        about=about,
+        options=f"std_toolkit.project.options:{name.capitalize()}Command",
+        run=f"std_toolkit.cli.project:{name}",
+    )
+
+
 PROGRAM = Program(
     name="std-curate",
     about="Curate an RGB-D recording of specular, transparent and diffuse objects: camera poses\n"
@@ -70,6 +79,13 @@ PROGRAM = Program(
             "export", "write a labelled scene in the layout of STD, BOP or NOCS", "labelling:export"
         ),
         _command("run", "run poses, propagate --refine, render and check", "labelling:run"),
+        _of_project("create", "make a project of many scenes: people, rules, board, queue"),
+        _of_project("add", "add scenes and people to a project"),
+        _of_project("status", "print the board of a project, or what is due for a person"),
+        _of_project("run", "take every scene of a project through the steps that are due"),
+        _of_project("review", "accept the labels of a scene, or send it back with a reason"),
+        _of_project("agreement", "compare the scenes of a project that were labelled twice"),
+        _of_project("export", "write one data set of all accepted scenes of a project"),
         _command(
             "schema", "print or write the JSON Schema of the documents", "recording:print_schema"
         ),

@@ -116,7 +116,7 @@ def _print_board(command: InfoCommand) -> int:
         raise ToolkitError("lists the frames of one scene", field="--frames")
     scenes = board(command.scenes)
     if command.json:
-        print_json({"scenes": [{**asdict(s), "root": str(s.root)} for s in scenes]})
+        print_json({"scenes": scenes})
     else:
         print("\n".join([board_table(scenes).terminal(), *doubts(scenes)]))
     return 1 if any(scene.problem for scene in scenes) else 0
@@ -164,7 +164,7 @@ def write_path(command: TrajectoryCommand) -> int:
 
 def print_schema(command: SchemaCommand) -> int:
     """Print or write JSON Schemas."""
-    from std_toolkit.checks.document_schema import document_types, schema_bytes, write_schemas
+    from std_toolkit.cli.document_schema import document_types, schema_bytes, write_schemas
 
     if command.out is not None:
         print("\n".join(str(path) for path in write_schemas(command.out)))

@@ -73,15 +73,9 @@ def export_scene(
     """
     options = options or ExportOptions()
     out = Path(out)
-    if out.resolve().is_relative_to(scene.root.resolve()):
-        raise ToolkitError("an export cannot be inside its scene", path=out, field="--out")
     exporter = get_exporter(format_name, options.settings)
-    target = plan(scene, out, options)
-    refuse_wrong(target)
-    exporter.check(target)
     documents = _documents_digest(scene)
-    frames = {f.id: _frame_artefact(target, f, format_name, documents) for f in target.frames}
-    digest = _export_digest(target, format_name, frames)
+    target, frames, digest = _begun(scene, exporter, format_name, out, options, documents)
     if state_of(out, digest) == "same":
         logger.info("%s: this export already exists", out)
         from std_toolkit.io.documents import read_document
@@ -109,6 +103,34 @@ def export_scene(
         written = exporter.finish(staged, rows, models)
         others = [*mesh_files, *written]
         return _close(exporter, staged, format_name, digest, rows, models, others)
+
+
+def export_digest(scene: Scene, format_name: str, out: Path, options: ExportOptions) -> str:
+    """Digest of everything that determines an export, as its sidecar has it; nothing is written.
+
+    Raises:
+        ToolkitError: see `export_scene`.
+    """
+    exporter = get_exporter(format_name, options.settings)
+    return _begun(scene, exporter, format_name, out, options, _documents_digest(scene))[2]
+
+
+def _begun(
+    scene: Scene,
+    exporter: Exporter,
+    format_name: str,
+    out: Path,
+    options: ExportOptions,
+    documents: str,
+) -> tuple[Target, dict[int, Artefact], str]:
+    """Contents of an export, its frames by id, and its digest."""
+    if out.resolve().is_relative_to(scene.root.resolve()):
+        raise ToolkitError("an export cannot be inside its scene", path=out, field="--out")
+    target = plan(scene, out, options)
+    refuse_wrong(target)
+    exporter.check(target)
+    frames = {f.id: _frame_artefact(target, f, format_name, documents) for f in target.frames}
+    return target, frames, _export_digest(target, format_name, frames)
 
 
 def plan(scene: Scene, root: Path, options: ExportOptions) -> Target:
@@ -371,6 +393,6 @@ def _export_digest(target: Target, format_name: str, frames: dict[int, Artefact]
 
 
 def _options(target: Target, format_name: str) -> dict[str, object]:
-    names = ("label_size", "scene_number", "split", "quaternion")
+    names = ("label_size", "scene_number", "split", "quaternion", "scene_name", "model_ids")
     given = {name: getattr(target.options, name) for name in names}
     return {"format": format_name, **given, "settings": sorted(target.options.settings)}

@@ -66,8 +66,8 @@ class Target:
         return self.object_ids.index(object_id) + 1
 
     def model_number(self, model_id: str) -> int:
-        """1-based position of a model among the exported ones."""
-        return self.model_ids.index(model_id) + 1
+        """1-based position of a model among the exported ones of the scene, or of all scenes."""
+        return (self.options.model_ids or self.model_ids).index(model_id) + 1
 
     def object_fault(self, frame_id: int, object_id: int) -> str | None:
         """Why a label does not fit in a frame, "" if it does; None without a current check."""

@@ -45,10 +45,16 @@ def state_of(out: Path, digest: str) -> Literal["vacant", "same", "other"]:
 
 
 @contextmanager
-def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
+def staging_area(out: Path, *, overwrite: bool, mark: str = SIDECAR_NAME) -> Iterator[Path]:
     """The staging folder, moved to `out` when the block ends without an error.
 
-    If the block raises after a frame was written, the folder is kept and the next run resumes.
+    If the block raises after a frame was written, the folder is kept and the next run resumes. What
+    lies in its folder `PROGRESS` is not moved.
+
+    Args:
+        out: the finished folder.
+        overwrite: whether an earlier export may be replaced.
+        mark: file by which one is known.
 
     Raises:
         ToolkitError: `out` has other content, or another process exports to it.
@@ -62,7 +68,7 @@ def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
             path=out,
             hint="choose another --out, or give --overwrite to replace an earlier export",
         )
-    if overwrite and out.is_dir() and any(out.iterdir()) and not (out / SIDECAR_NAME).is_file():
+    if overwrite and out.is_dir() and any(out.iterdir()) and not (out / mark).is_file():
         raise ToolkitError(
             "this is not an export; --overwrite replaces only exports",
             path=out,
@@ -86,7 +92,7 @@ def staging_area(out: Path, *, overwrite: bool) -> Iterator[Path]:
         try:
             yield staging
         except BaseException:
-            if not any((staging / PROGRESS).glob("*.json")):
+            if not any((staging / PROGRESS).rglob("*.json")):
                 # Nothing in it would be resumed.
                 shutil.rmtree(staging, ignore_errors=True)
             raise

@@ -47,7 +47,7 @@ class StdExporter:
             ToolkitError: too many objects, a scene named like the model folder, or a label size
                 with another aspect ratio than the image of a camera.
         """
-        if target.scene.info.name == "cad_model":
+        if self.folder(target) == "cad_model":
             raise ToolkitError(
                 "the STD layout uses this name for the folder of its models",
                 path=target.scene.root / "scene.json",
@@ -64,7 +64,7 @@ class StdExporter:
             self.label_camera(target, target.scene.camera(frame))
 
     def folder(self, target: Target) -> str:
-        return target.scene.info.name
+        return target.options.scene_name or target.scene.info.name
 
     def label_camera(self, target: Target, camera: Camera) -> Camera:
         """Half the size of a 1280x720 colour image, as in STD; otherwise its full size."""

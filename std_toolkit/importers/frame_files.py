@@ -99,7 +99,7 @@ def _write_color(
     # Decode once, so that a damaged image is found now and not in a later step.
     images.read_color(file.source, size=size)
     target = file.target + file.source.suffix.lower()
-    _place(file.source, root / target, link)
+    place_file(file.source, root / target, link)
     return target
 
 
@@ -152,7 +152,7 @@ def _write_depth(
         if depth.converted or lens is not None:
             images.write_png(root / target, values)
         else:
-            _place(file.source, root / target, link)
+            place_file(file.source, root / target, link)
     else:
         # Another unit than the scene's would require rounding; EXR avoids it.
         target = file.target + ".exr"
@@ -184,10 +184,15 @@ def _write_reference(
     else:
         if file.source.suffix.lower() == ".png":
             images.read_png(file.source, size=size if file.same_size else None)
-        _place(file.source, target, link)
+        place_file(file.source, target, link)
 
 
-def _place(source: Path, target: Path, link: LinkMode) -> None:
+def place_file(source: Path, target: Path, link: LinkMode) -> None:
+    """Copy or link a file to a new place; where hard links cannot be, they are symbolic.
+
+    Raises:
+        ToolkitError: the copy differs from its source.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     source = source.resolve()
     if link == "hard":

@@ -377,6 +377,24 @@ def hold_lock(
         os.close(descriptor)
 
 
+def lock_holder(root: Path, name: str) -> str:
+    """Who holds a lock of a scene now, as `hold_lock` wrote it; "" if nobody does."""
+    try:
+        descriptor = os.open(root / ".std" / name, os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError:
+        return ""
+    try:
+        # What a killed process wrote stays in the file, but its lock does not.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return os.pread(descriptor, 200, 0).decode(errors="replace").strip() or "unknown owner"
+    except OSError:
+        return ""
+    finally:
+        os.close(descriptor)
+    return ""
+
+
 def _user() -> str:
     try:
         return getpass.getuser()

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from std_toolkit.checks.summary import SceneSummary, summarise
+from std_toolkit.checks.summary import SceneSummary, Step, summarise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.scene.judgement import GRADES, Grade
+from std_toolkit.scene.review import Standing, label_digests, read_reviews, standing
 from std_toolkit.scene.scene import Scene
 
-State = Literal["open", "labelled", "done"]
+State = Literal["open", "labelled", "done", "reviewed", "refused"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,9 @@ class ObjectState:
 
     Attributes:
         name: of the object.
-        state: "done" if an annotator accepted its pose, "open" without a label.
+        state: "open" without a label, "labelled", "done" if its annotator accepted the pose,
+            "reviewed" if another person accepted the scene since, "refused" if that person sent
+            the label back.
         grade, reason: verdict on the label as far as it holds; None without a label.
         annotator: who labelled it, or "".
         minutes: that the annotator worked on it, at least; None if that is not known.
@@ -47,17 +50,29 @@ class SceneState:
         frames, registered: number of frames, and of those with a camera pose.
         objects: all of them.
         check: "passed", "failed", or "" without a current report.
+        check_gates: sentences on the gates of the scene that failed.
+        reviewer: who accepted the labels as they are or sent them back; "" for nobody.
+        accepted: whether that person accepted them.
+        reason: why they were sent back.
+        reasons: why labels are kept that the check doubts: text by object and reviewer.
+        next_step: what is missing, see `checks.summary`.
         next_command: what to run next; None if the scene is complete.
         problem: why the scene cannot be read; "" otherwise, and all else is empty.
     """
 
-    root: Path
+    root: str
     folder: str
     name: str
     frames: int = 0
     registered: int = 0
     objects: list[ObjectState] = field(default_factory=list)
     check: Literal["passed", "failed", ""] = ""
+    check_gates: list[str] = field(default_factory=list)
+    reviewer: str = ""
+    accepted: bool = False
+    reason: str = ""
+    reasons: dict[str, dict[str, str]] = field(default_factory=dict)
+    next_step: Step = ""
     next_command: str | None = None
     problem: str = ""
 
@@ -66,6 +81,19 @@ class SceneState:
         """That people worked on its labels, at least; None if that is not known of any."""
         known = [o.minutes for o in self.objects if o.minutes is not None]
         return sum(known) if known else None
+
+    @property
+    def labellers(self) -> list[str]:
+        """Who labelled, sorted; labels without a name are nobody's.
+
+        A label that was merged of those of several people names them all.
+        """
+        names = (name for o in self.objects for name in o.annotator.split(", "))
+        return sorted({name for name in names if name})
+
+    def graded(self, *grades: Grade) -> list[ObjectState]:
+        """The labelled objects with one of these verdicts."""
+        return [o for o in self.objects if o.grade in grades]
 
 
 def board(folders: Sequence[Path]) -> list[SceneState]:
@@ -78,19 +106,21 @@ def board(folders: Sequence[Path]) -> list[SceneState]:
     for k, root in enumerate(roots):
         if root in roots[:k]:
             raise ToolkitError("the scene is given twice", path=folders[k])
-    found = []
-    for folder in folders:
-        try:
-            scene = Scene.open(folder)
-            found.append(_state(folder, scene, summarise(scene)))
-        except ToolkitError as error:
-            found.append(
-                SceneState(root=folder, folder=str(folder), name=folder.name, problem=str(error))
-            )
-    return found
+    return [scene_state(folder) for folder in folders]
+
+
+def scene_state(folder: Path) -> SceneState:
+    """The state of one scene, with the problem if it cannot be read."""
+    try:
+        scene = Scene.open(folder)
+        return _state(folder, scene, summarise(scene))
+    except ToolkitError as error:
+        shown = str(folder)
+        return SceneState(root=shown, folder=shown, name=folder.name, problem=str(error))
 
 
 def _state(folder: Path, scene: Scene, summary: SceneSummary) -> SceneState:
+    said = standing(read_reviews(scene.root), label_digests(scene))
     labels = {label.object: label for label in scene.labels.labels}
     verdicts = {verdict.object: verdict for verdict in summary.verdicts}
     objects = []
@@ -103,7 +133,7 @@ def _state(folder: Path, scene: Scene, summary: SceneSummary) -> SceneState:
         objects.append(
             ObjectState(
                 name=item.name,
-                state="done" if scene.annotation.of(item.id).status == "done" else "labelled",
+                state=_object_state(item.name, said, scene.annotation.of(item.id).status),
                 grade=verdict.grade if verdict else "unknown",
                 reason=verdict.reason if verdict else "",
                 annotator=label.annotator,
@@ -112,15 +142,29 @@ def _state(folder: Path, scene: Scene, summary: SceneSummary) -> SceneState:
         )
     passed = summary.check_passed
     return SceneState(
-        root=scene.root,
+        root=str(scene.root),
         folder=str(folder),
         name=summary.name,
         frames=summary.frames,
         registered=summary.registered or 0,
         objects=objects,
         check="" if passed is None else "passed" if passed else "failed",
+        check_gates=summary.check_gates,
+        reviewer=said.by,
+        accepted=said.accepted,
+        reason=said.reason,
+        reasons={name: dict(texts) for name, texts in said.reasons.items()},
+        next_step=summary.next_step,
         next_command=summary.next_command,
     )
+
+
+def _object_state(name: str, said: Standing, status: str) -> State:
+    if name in said.refused:
+        return "refused"
+    if said.accepted:
+        return "reviewed"
+    return "done" if status == "done" else "labelled"
 
 
 def board_table(scenes: Sequence[SceneState]) -> Table:
@@ -140,14 +184,13 @@ def _cells(scene: SceneState) -> list[str]:
     labelled = [o for o in scene.objects if o.state != "open"]
     total = len(scene.objects)
     grades = [sum(o.grade == grade for o in labelled) for grade in GRADES]
-    people = sorted({o.annotator for o in labelled if o.annotator})
     return [
         scene.folder,
         f"{scene.registered}/{scene.frames}",
         f"{len(labelled)}/{total}",
-        f"{sum(o.state == 'done' for o in labelled)}/{total}",
+        f"{sum(o.state in ('done', 'reviewed') for o in labelled)}/{total}",
         *(str(n) if n else "" for n in grades),
-        ", ".join(people),
+        ", ".join(scene.labellers),
         "" if scene.minutes is None else f"{scene.minutes:.1f}",
         scene.check or "none",
         scene.next_command or "complete",

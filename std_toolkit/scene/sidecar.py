@@ -1,5 +1,7 @@
 """std_toolkit.json: data of an export that the layouts of other data sets cannot represent.
 
+It lies at the top of an export of one scene, and in the folder of each scene of a data set of many.
+
 STD, DREDS and NOCS have neither intrinsics nor camera poses. No layout stores the source of the
 metric scale or the occlusion policy. Loaders of those layouts ignore this file; the importers read
 it, so that an export can be converted back to a scene.
@@ -219,12 +221,15 @@ def find_sidecar(source: Path, layout: str) -> tuple[Sidecar, Path] | None:
         ToolkitError: the sidecar is damaged.
     """
     start = source.resolve()
-    for top in (start, *list(start.parents)[:3]):
-        path = top / SIDECAR_NAME
+    for folder in (start, *list(start.parents)[:3]):
+        path = folder / SIDECAR_NAME
         if path.is_file():
             sidecar = read_document(path, Sidecar)
-            folder = check_relative(sidecar.folder, path=path, field="folder")
+            frames = Path(check_relative(sidecar.folder, path=path, field="folder"))
+            depth = len(frames.parts)
+            among_many = folder.parts[-depth:] == frames.parts and not (folder / frames).is_dir()
+            top = folder.parents[depth - 1] if among_many else folder
             # A folder below an export need not belong to it.
-            matches = start in (top, top / folder)
+            matches = start == folder or start == top / frames
             return (sidecar, top) if matches and sidecar.layout == layout else None
     return None

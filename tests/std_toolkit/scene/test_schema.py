@@ -9,7 +9,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from std_toolkit.checks.document_schema import document_schema, document_types, schema_bytes
+from std_toolkit.cli.document_schema import document_schema, document_types, schema_bytes
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(REPOSITORY / "tests/std_toolkit/exporters"))
@@ -40,22 +40,35 @@ def written(tmp_path_factory) -> dict[str, Path]:
 
     from std_toolkit.checks.check_step import run_check
     from std_toolkit.exporters import export_scene
+    from std_toolkit.io.documents import write_document
     from std_toolkit.jobs.artefact import Artefact
     from std_toolkit.options import CheckOptions
+    from std_toolkit.project.dataset_card import Dataset, labels_of, models_of
+    from std_toolkit.project.record import create_project
     from std_toolkit.scene import Annotation, ObjectAnnotation
+    from std_toolkit.scene.review import Review, add_review, label_digests
 
     folder = tmp_path_factory.mktemp("documents")
     scene = make_scene(folder / "scene", frames=2, unregistered=[1], size=(64, 48))
-    export_scene(scene, "std", folder / "std", jobs=SERIAL)
+    sidecar = export_scene(scene, "std", folder / "std", jobs=SERIAL)
     Artefact(scene.root, "demo", {"images": "0" * 32}).write([scene.root / "frames.json"])
     run_check(scene, CheckOptions(max_frames=1), SERIAL)
     scene.save_annotation(Annotation(objects=[ObjectAnnotation(object=1, status="done")]))
-    names = ("scene", "frames", "objects", "poses", "labels", "annotation")
+    said = {"time": "2026-03-02T09:30:00Z", "by": "ben", "verdict": "accepted"}
+    add_review(scene, Review(**said, labels=label_digests(scene)))
+    create_project(folder / "project", scenes=[scene.root], people=["ben"], rules=None)
+    made = {"name": "a", "layout": "std", "tool": "1", "licence": "b", "rule": "c", "digest": "d"}
+    found = {"models": models_of([sidecar]), "labels": labels_of([sidecar])}
+    dataset = Dataset(**made, **found, splits={"test": ["e"]}, scenes=[], files={})
+    write_document(folder / "dataset.json", dataset)
+    names = ("scene", "frames", "objects", "poses", "labels", "annotation", "review")
     return {n: scene.root / f"{n}.json" for n in names} | {
         "check_report": scene.root / "check/report.json",
         "ground_truth": scene.root / "gt/info/000000.json",
         "record": scene.root / ".std/records/demo.json",
         "export": folder / "std/std_toolkit.json",
+        "project": folder / "project/project.json",
+        "dataset": folder / "dataset.json",
     }
 
 

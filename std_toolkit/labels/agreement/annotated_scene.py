@@ -9,8 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.session.journal import journal_path, read_journal
-from annotator.session.recovery import find_recovery
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, Camera, Symmetry
 from std_toolkit.geometry.mesh import hull_vertices, mesh_bounds
@@ -251,22 +249,10 @@ class LabelledObject:
         return found
 
 
-def work_notes(annotated: AnnotatedScene) -> list[str]:
-    """Return sentences on the unfinished work of an annotator."""
-    scene, name = annotated.scene, annotated.name
-    notes = []
-    path = journal_path(scene.root)
-    if path.exists():
-        try:
-            unsaved = find_recovery(scene, read_journal(path))
-        except ToolkitError as error:
-            notes.append(f"{name}: {error}")
-        else:
-            if unsaved is not None:
-                notes.append(f"{name}: {unsaved}; only what was saved counts here")
-    rows = scene.annotation
-    if rows.objects:
-        open_ = [x.name for x in annotated.objects if rows.of(x.object.id).status != "done"]
-        if open_:
-            notes.append(f"{name} has not marked as done: {', '.join(open_)}")
-    return notes
+def open_work(annotated: AnnotatedScene) -> list[str]:
+    """Return a sentence on the labels that an annotator has not accepted, if there are any."""
+    rows = annotated.scene.annotation
+    if not rows.objects:
+        return []
+    open_ = [x.name for x in annotated.objects if rows.of(x.object.id).status != "done"]
+    return [f"{annotated.name} has not marked as done: {', '.join(open_)}"] if open_ else []

@@ -13,8 +13,10 @@ from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import DIALECT
 from std_toolkit.io.regular import read_regular
 from std_toolkit.jobs import artefact
+from std_toolkit.project.dataset_card import Dataset
+from std_toolkit.project.record import ProjectRecord
 from std_toolkit.rendering.ground_truth import FrameTruth
-from std_toolkit.scene import model, sidecar
+from std_toolkit.scene import model, review, sidecar
 
 _ADDRESS = "https://std-toolkit.example/schemas"
 
@@ -28,6 +30,9 @@ def document_types() -> dict[str, type]:
         "poses": model.CameraPoses,
         "labels": model.Labels,
         "annotation": model.Annotation,
+        "review": review.Reviews,
+        "project": ProjectRecord,
+        "dataset": Dataset,
         "ground_truth": FrameTruth,
         "check_report": CheckReport,
         "record": artefact.Record,

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
-from annotator.compare import annotated_scene
-from annotator.compare.pose_difference import (
+from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Symmetry
+from std_toolkit.geometry.symmetry import common_symmetry
+from std_toolkit.labels.agreement import annotated_scene
+from std_toolkit.labels.agreement.options import CompareOptions
+from std_toolkit.labels.agreement.pose_difference import (
     PoseDifference,
     pose_difference,
     surface_distance,
     what_differs,
 )
-from annotator.compare.shared_recording import shared_recording
-from annotator.options import CompareOptions
-from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, Symmetry
-from std_toolkit.geometry.symmetry import common_symmetry
+from std_toolkit.labels.agreement.shared_recording import shared_recording
 from std_toolkit.scene import Scene
 
 Verdict = Literal["agree", "disagree", "not comparable"]
@@ -130,12 +130,21 @@ class Comparison:
 
 
 def compare_labels(
-    scene_a: Scene, scene_b: Scene, options: CompareOptions | None = None
+    scene_a: Scene,
+    scene_b: Scene,
+    options: CompareOptions | None = None,
+    *,
+    notes_of: Callable[[annotated_scene.AnnotatedScene], list[str]] = annotated_scene.open_work,
 ) -> Comparison:
     """Compare the labels of two annotators of one recording.
 
     Poses are compared in the cameras of common frames, because each scene may have its own world
     frame and scale. Symmetric variants count as equal, for symmetries that both declare.
+
+    Args:
+        scene_a, scene_b: the scenes of the two annotators.
+        options: options of the comparison.
+        notes_of: sentences on the unfinished work of one annotator.
 
     Raises:
         ToolkitError: the recordings differ, or a scene has no labels.
@@ -159,8 +168,8 @@ def compare_labels(
     rows.sort(key=lambda x: (x.verdict == "agree", -np.nan_to_num(x.worst_m, nan=np.inf), x.name))
     notes = [
         *shared.notes,
-        *annotated_scene.work_notes(a),
-        *annotated_scene.work_notes(b),
+        *notes_of(a),
+        *notes_of(b),
         *_object_notes(rows),
     ]
     return Comparison(

@@ -1,0 +1,1 @@
+"""Labels of two people of one recording, compared."""
