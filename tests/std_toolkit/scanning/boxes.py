@@ -86,9 +86,12 @@ def _lay(sheet: NDArray[np.uint8], image: NDArray[np.float64], eye: object, rays
     image[on] = shown[on, None]
 
 
-def write_photos_on_board(folder: Path, count: int = 14) -> Path:
+# Camera of the photos on the board: a cell of its tags has three pixels.
+BOARD_CAMERA = Camera(480, 360, 450, 450, 239.5, 179.5)
+
+
+def write_photos_on_board(folder: Path, count: int = 12) -> Path:
     """Write photos of the boxes on the board, and return its description."""
-    camera = Camera(640, 480, 600, 600, 319.5, 239.5)
-    for view in photos_of_boxes(count, camera=camera, sheet=printed_sheet()):
+    for view in photos_of_boxes(count, camera=BOARD_CAMERA, sheet=printed_sheet()):
         write_color(folder / view.name, view.image)
     return write_board_pdf(folder.parent / "board.pdf")[1]
