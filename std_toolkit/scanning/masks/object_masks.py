@@ -159,7 +159,7 @@ def object_masks(
     own = own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    values = {"pick": options.pick, "box": options.box, "format": 14}
+    values = {"pick": options.pick, "box": options.box, "format": 15}
     artefact = Artefact(work, "masks", {"poses": posed.digest}, values, limits=LIMITS)
 
     def make() -> dict[str, Any]:
