@@ -27,7 +27,6 @@ from std_toolkit.scanning.photos.photos import make_view
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.scanning.photos.visibility import depth_of, seen_from, vertex_normals
-from std_toolkit.scanning.surface.surface import without_inner_parts
 
 PREVIEW = "preview.ply"
 
@@ -132,8 +131,7 @@ def _meshes(options: ScanOptions, posed: PosedPhotos) -> list[Mesh]:
         if not found:
             raise ToolkitError("nothing was found standing on the board")
         if len(found) > 1 and options.pick is None and options.box is None:
-            # Crumbs of a coarse hull are no object.
-            return [without_inner_parts(c.vertices, c.faces) for c in found]
+            return [c.agreed or (c.vertices, c.faces) for c in found]
         masked = table_masks(options, things, threads)
     return [hull_surface(masked, cells=_CELLS, allowed=1, threads=threads)]
 
