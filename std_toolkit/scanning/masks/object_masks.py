@@ -138,11 +138,22 @@ class Things:
         check_tags(self._through, tags, caster)
 
     def draw(self, path: Path, names: Sequence[str] = (), folder: str = "") -> None:
-        """Write the picture of all objects: each outlined, with its number or name and its pick."""
+        """Write the picture of all objects: each outlined, with its number or name and its pick.
+
+        Places that are left out come after them, and a warning counts them.
+        """
         picks = self.picks(folder)
         names = names or [str(n) for n in range(1, len(picks) + 1)]
         words = [f"{name}  --pick {pick}" for name, pick in zip(names, picks, strict=True)]
-        draw_candidates(path, self.shown, self.posed.views, words)
+        beside = [s for s in best_photos(self.standing.left_out, self.posed.views) if s.mask.any()]
+        words += [f"not scanned, in {self.posed.views[one.photo].name}" for one in beside]
+        draw_candidates(path, [*self.shown, *beside], self.posed.views, words)
+        if beside:
+            logger.warning(
+                "places on the board that stand out and are not scanned: %d. Photos show the table "
+                "there in part: flat, thin, clear or black things, or shadows. %s shows them; scan "
+                "such a thing alone, with --masks", len(beside), path,
+            )  # fmt: skip
 
 
 def object_masks(

@@ -172,9 +172,9 @@ def model_table(
             seen[i, inside] &= ~blocked[i][row, column]
         blurred = cv2.GaussianBlur(view.image, (0, 0), 0.7)
         # Maps of OpenCV are limited to 32767 rows.
-        samples[i] = cv2.remap(
-            blurred, u.reshape(h, w), v.reshape(h, w), cv2.INTER_LINEAR
-        ).reshape(-1, 3)
+        samples[i] = cv2.remap(blurred, u.reshape(h, w), v.reshape(h, w), cv2.INTER_LINEAR).reshape(
+            -1, 3
+        )
 
     in_threads(sample, range(len(views)), threads=threads)
     gains = np.ones((len(views), 3), np.float32)
