@@ -133,7 +133,10 @@ def _meshes(options: ScanOptions, posed: PosedPhotos) -> list[Mesh]:
         if len(found) > 1 and options.pick is None and options.box is None:
             return [c.agreed or (c.vertices, c.faces) for c in found]
         masked = table_masks(options, things, threads)
-    return [hull_surface(masked, cells=_CELLS, allowed=1, threads=threads)]
+    vertices, faces = hull_surface(masked, cells=_CELLS, allowed=1, threads=threads)
+    # No photo sees the foot from below: there the hull of few goes on into the table.
+    vertices[:, 2] = np.maximum(vertices[:, 2], 0)
+    return [(vertices, faces)]
 
 
 def _joined(meshes: Sequence[Mesh]) -> Mesh:
