@@ -11,7 +11,9 @@ TURNTABLE   folder of `std-sim turntable`: photos/, board.json and truth mesh, p
 
 Prints one row per scan: accuracy is mesh to truth, completeness truth to mesh, both on what a
 camera saw, after rigid alignment; scale is that of a similarity fitted afterwards. "whole" figures
-are of the whole surface, the side that no camera saw included.
+are of the whole surface, the side that no camera saw included. Normals are those of the faces,
+unsmoothed, against the nearest face of the truth; "wider" is by how much the longest difference of
+the sides of the upright boxes is too long. Below it are processor seconds of the stages.
 """
 
 from __future__ import annotations
@@ -87,15 +89,17 @@ def align(
     return T, float(np.cbrt(np.linalg.det(scaled[:3, :3])))
 
 
-def seen_points(vertices: Any, faces: Any, views: Any, to_world: np.ndarray) -> np.ndarray:
-    """Points of a surface, its own frame, that a camera saw."""
+def seen_points(
+    vertices: Any, faces: Any, views: Any, to_world: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a surface that a camera saw, and the normals of their faces, its own frame."""
     import trimesh
 
     from std_toolkit.geometry.ray_caster import RayCaster
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     points, face = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
-    normal = mesh.face_normals[face]
+    normal = own = mesh.face_normals[face]
     world = points @ to_world[:3, :3].T + to_world[:3, 3]
     normal = normal @ to_world[:3, :3].T
     caster = RayCaster(
@@ -115,7 +119,7 @@ def seen_points(vertices: Any, faces: Any, views: Any, to_world: np.ndarray) -> 
             index = index[~view.hidden[y, x]]
         rays = np.concatenate([np.broadcast_to(view.centre, (len(index), 3)), ray[index]], axis=1)
         seen[index[caster.cast(rays).distance > away[index] - 0.001]] = True
-    return np.asarray(points[seen])
+    return np.asarray(points[seen]), np.asarray(own[seen])
 
 
 def compare(
@@ -129,12 +133,18 @@ def compare(
 
     from std_toolkit.geometry.ray_caster import RayCaster
 
-    points = seen_points(scan.vertices, scan.faces, scan.views, np.eye(4))
+    points, normals = seen_points(scan.vertices, scan.faces, scan.views, np.eye(4))
     T, scale = align(points, truth, start)
     moved = points @ T[:3, :3].T + T[:3, 3]
-    accuracy = RayCaster(truth.vertices, truth.faces).distance(moved)
+    nearest, facing = RayCaster(truth.vertices, truth.faces).closest(moved)
+    accuracy = np.linalg.norm(nearest - moved, axis=1)
+    # Faces of published meshes may be turned.
+    cosine = np.abs(((normals @ T[:3, :3].T) * facing).sum(axis=1))
+    angle = np.degrees(np.arccos(np.clip(cosine, 0, 1)))
+    sides = np.sort(np.ptp(scan.vertices @ T[:3, :3].T, axis=0))
+    wider = 1000 * (sides - np.sort(np.ptp(truth.vertices, axis=0)))
     back = np.linalg.inv(T)
-    there = seen_points(truth.vertices, truth.faces, scan.views, back)
+    there, _ = seen_points(truth.vertices, truth.faces, scan.views, back)
     local = there @ back[:3, :3].T + back[:3, 3]
     caster = RayCaster(scan.vertices, scan.faces)
     complete = caster.distance(local)
@@ -154,6 +164,9 @@ def compare(
         "whole 95 % mm": 1000 * float(np.percentile(everywhere, 95)),
         "whole complete 2 mm %": 100 * float((whole < 0.002).mean()),
         "scale %": 100 * (1 / scale - 1),
+        "normals deg": float(np.median(angle)),
+        "normals 90 % deg": float(np.percentile(angle, 90)),
+        "wider mm": float(wider[np.abs(wider).argmax()]),
     }
     return row, T
 
@@ -178,19 +191,37 @@ def by_cameras(scan: Any, folder: Path) -> np.ndarray:
 
 
 def measured(name: str, options: Any, truth: Any, folder: Path | None = None) -> Any:
+    from std_toolkit.scanning.clock import Clock
     from std_toolkit.scanning.scan_step import scan
 
-    began, cpu = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_utime
-    done = scan(options)
+    began, cpu = time.perf_counter(), processor_s()
+    told, stages = Clock.lap, {}
+
+    def lap(self: Clock, stage: str) -> None:
+        stages[stage] = processor_s() - cpu - sum(stages.values())
+        told(self, stage)
+
+    Clock.lap = lap  # type: ignore[method-assign]
+    try:
+        done = scan(options)
+    finally:
+        Clock.lap = told  # type: ignore[method-assign]
     wall = time.perf_counter() - began
-    cpu = resource.getrusage(resource.RUSAGE_SELF).ru_utime - cpu
+    cpu = processor_s() - cpu
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     start = by_cameras(done, folder) if folder else None
     row = {} if truth is None else compare(done, truth, start)[0]
     row |= {"wall s": wall, "CPU s": cpu, "GiB": memory}
     shown = "  ".join(f"{k} {v:.2f}" for k, v in row.items())
     print(f"{name:24} {shown}", flush=True)
+    print(f"{'':24} " + "  ".join(f"{k} {v:.0f} s" for k, v in stages.items()), flush=True)
     return done
+
+
+def processor_s() -> float:
+    """Processor seconds of this process and its children."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(u.ru_utime + u.ru_stime for u in used)
 
 
 def dino(work: Path) -> None:

@@ -38,6 +38,7 @@ from std_toolkit.scanning.masks.standing import choose_candidate
 from std_toolkit.scanning.model.report import mesh_panels
 from std_toolkit.scanning.model.write_model import Scan, file_names
 from std_toolkit.scanning.options import LIMITS, MODEL_FOLDER, ScanOptions
+from std_toolkit.scanning.preview import PREVIEW, remove_preview
 from std_toolkit.scanning.scan_step import pose_step, prepare, scan_object
 from std_toolkit.scanning.surface.depth_maps import depth_engine
 from std_toolkit.settings import changed
@@ -109,7 +110,7 @@ def scan_all(options: ScanOptions) -> Library:
                 "holds the model of one object", path=options.out,
                 hint="choose another folder, or leave --all out",
             )  # fmt: skip
-        check_own(options.out, (LIBRARY, "report.html"))
+        check_own(options.out, (LIBRARY, "report.html", PREVIEW))
         work = options.out / ".scan"
         work.mkdir(exist_ok=True)
         return _scan_all(options, work)
@@ -158,6 +159,7 @@ def _scan_all(options: ScanOptions, work: Path) -> Library:
         rows[n] = _one(
             part, things, n, rows[n], Clock(part.out / ".scan", _OF_EACH, more=more), digest
         )
+    remove_preview(options)
     return _write(options.out, rows)
 
 

@@ -84,6 +84,9 @@ class ScanOptions:
     """SIFT features per photo"""
     image_size: Annotated[int, msgspec.Meta(ge=320, le=65_535)] = 1600
     """longer side to which larger photos are reduced, pixels"""
+    preview: bool = True
+    """write preview.ply, a coarse mesh by the board alone, before the long stages; it is removed
+    when the model is there"""
     known: KnownCameras = field(default_factory=KnownCameras)
     jobs: JobOptions = field(default_factory=JobOptions)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.jobs.door import check_own, has_record, output, own_files
 from std_toolkit.log import logger
-from std_toolkit.scanning.board.photo_poses import posed_photos
+from std_toolkit.scanning.board.photo_poses import BoardFound, posed_photos
 from std_toolkit.scanning.clock import JOINED, REVOLVED, STAGES, Clock
 from std_toolkit.scanning.masks.object_masks import Things, both_positions, object_masks
 from std_toolkit.scanning.model.bake import bake_texture
@@ -24,6 +25,7 @@ from std_toolkit.scanning.photos import photos as photo_files
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.video import is_video, sample_video
 from std_toolkit.scanning.photos.views import View
+from std_toolkit.scanning.preview import PREVIEW, remove_preview, write_preview
 from std_toolkit.scanning.surface.depth_maps import DepthEngine, depth_engine
 from std_toolkit.scanning.surface.measured_surface import (
     Side,
@@ -88,7 +90,7 @@ def prepare(options: ScanOptions) -> tuple[Path, Sequence[str]]:
     work, names = options.out / ".scan", file_names(options.out.resolve().name)
     # A model of an earlier version has no record.
     known = names if work.is_dir() and not has_record(options.out) else []
-    check_own(options.out, names, known=known)
+    check_own(options.out, [*names, PREVIEW], known=known)
     work.mkdir(exist_ok=True)
     return work, known
 
@@ -172,13 +174,17 @@ def _finished(
         write_model(options.out, result.name, result.vertices, faces, texture)
         write_symmetry(options.out, symmetry)
         result = write_report(options.out, result)
+    remove_preview(options)
     lap("files")
     return result
 
 
 def pose_step(options: ScanOptions, work: Path, lap: Callable[[str], None]) -> PosedPhotos:
     """Photos of one position with poses."""
-    return _posed(options, _photos(options, work), work, lap)
+    found = _photos(options, work)
+    if options.known.cameras is not None and options.preview:
+        logger.info("preview: none: --cameras gives no board")
+    return _posed(options, found, work, lap, partial(write_preview, options))
 
 
 def _photos(options: ScanOptions, work: Path) -> photo_files.Photos:
@@ -193,14 +199,18 @@ def _photos(options: ScanOptions, work: Path) -> photo_files.Photos:
 
 def _posed(
     options: ScanOptions, found: photo_files.Photos, work: Path,
-    lap: Callable[[str], None],
+    lap: Callable[[str], None], first: Callable[[BoardFound], None],
 ) -> PosedPhotos:  # fmt: skip
-    """Photos of one position with poses."""
+    """Photos of one position with poses; `first` as of `posed_photos`."""
     files = [*found.paths, *([] if found.sensor is None else found.sensor.paths())]
     inputs = digest_of([digest_file(p) for p in files], [p.name for p in files])
-    posed = posed_photos(options, found, work, inputs)
+    posed = posed_photos(options, found, work, inputs, first)
     lap("poses")
     return posed
+
+
+def _no_preview(_: BoardFound) -> None:
+    """The board of the second position."""
 
 
 def _joined(
@@ -224,7 +234,9 @@ def _joined(
         def told(stage: str, name: str = name) -> None:
             lap(f"{stage} of the flipped" if name else stage)
 
-        posed = _posed(part, found, folder, told)
+        # The first position is enough for a look.
+        first = partial(write_preview, part) if not name else _no_preview
+        posed = _posed(part, found, folder, told, first)
         views = object_masks(part, posed, folder, threads, folder=label)
         told("masks")
         side = measure_side(part, posed, views, engine, folder, threads, told)

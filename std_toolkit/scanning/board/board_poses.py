@@ -50,20 +50,9 @@ def pose_photos(
     Raises:
         ToolkitError: too few photos have a pose, or the object moved.
     """
-    start: dict[int, SE3] = {}
-    for i, f in enumerate(found):
-        camera = cameras.of(i)
-        pose = board_pose(f, camera)
-        # Corners that a plane does not explain are misread tags.
-        if pose is not None and pose[1] < 0.01 * max(camera.size):
-            start[i] = pose[0].inverse()
+    start, placed = board_starts(found, cameras)
     if len(start) < BoardPhotoSettings.current().fewest_photos:
         raise ToolkitError(f"the board gives a pose in {len(start)} of {len(paths)} photos")
-    # The board's z axis points into the table where its file has y downwards.
-    up = float(np.median([T.t[2] for T in start.values()])) > 0
-    turn = SE3(np.eye(3) if up else np.diag([1.0, -1.0, -1.0]), np.zeros(3))
-    start = {i: turn @ T for i, T in start.items()}
-    placed = [replace(f, xyz=turn @ f.xyz) for f in found]
     uv, pairs = _matches(paths, start, cameras, work, jobs, max_features)
     plane = np.concatenate([f.xyz[:, :2] for f in placed])
     check_rest(
@@ -72,6 +61,26 @@ def pose_photos(
     )  # fmt: skip
     model = build_model(paths, start, placed, uv, pairs, cameras)
     return adjust(model, placed, cameras.groups)
+
+
+def board_starts(
+    found: Sequence[BoardDetection], cameras: PhotoCameras
+) -> tuple[dict[int, SE3], list[BoardDetection]]:
+    """T_world_cam by index of the photos in which the board alone gives a pose, and all detections
+    with their corners in that world: the frame of the board, z up."""
+    start: dict[int, SE3] = {}
+    for i, f in enumerate(found):
+        camera = cameras.of(i)
+        pose = board_pose(f, camera)
+        # Corners that a plane does not explain are misread tags.
+        if pose is not None and pose[1] < 0.01 * max(camera.size):
+            start[i] = pose[0].inverse()
+    if not start:
+        return {}, list(found)
+    # The board's z axis points into the table where its file has y downwards.
+    up = float(np.median([T.t[2] for T in start.values()])) > 0
+    turn = SE3(np.eye(3) if up else np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    return {i: turn @ T for i, T in start.items()}, [replace(f, xyz=turn @ f.xyz) for f in found]
 
 
 def _matches(

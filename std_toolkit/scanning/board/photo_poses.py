@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,26 @@ from std_toolkit.scanning.photos import photos as photo_files
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 
 
+class BoardFound(NamedTuple):
+    """The board in the photos, before their poses are adjusted.
+
+    Attributes:
+        photos: all photos.
+        kept: indices of those that are used.
+        detections: the board in each of these.
+        cameras: intrinsics of these to begin with.
+    """
+
+    photos: photo_files.Photos
+    kept: Sequence[int]
+    detections: Sequence[BoardDetection]
+    cameras: PhotoCameras
+
+
 def posed_photos(
-    options: ScanOptions, found: photo_files.Photos, work: Path, inputs: str
-) -> PosedPhotos:
+    options: ScanOptions, found: photo_files.Photos, work: Path, inputs: str,
+    first: Callable[[BoardFound], None] = lambda _: None,
+) -> PosedPhotos:  # fmt: skip
     """Photos with poses and intrinsics: of a file, or by the board.
 
     Args:
@@ -33,6 +50,7 @@ def posed_photos(
         found: the photos.
         work: folder that keeps the poses.
         inputs: digest of the photos.
+        first: called as soon as the board is found, unless the poses are kept.
 
     Raises:
         ToolkitError: no board, or the photos do not determine poses or intrinsics.
@@ -75,6 +93,7 @@ def posed_photos(
         assert options.board is not None
         board_photos.check_boards(detections, paths, options.board)
         cameras = _intrinsics(options, found, kept, detections)
+        first(BoardFound(found, kept, detections, cameras))
         p = pose_photos(
             paths, detections, cameras, work, jobs=options.jobs, max_features=options.max_features
         )

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from std_toolkit.arrays import Array, Mask
-from std_toolkit.scanning.masks.hull import surface_of
+from std_toolkit.compiled import compiled
+from std_toolkit.scanning.masks.hull import largest_component, surface_of
 from std_toolkit.scanning.masks.table_comparison import Comparison, compare
-from std_toolkit.scanning.masks.table_model import MOST_CELLS, model_tables
+from std_toolkit.scanning.masks.table_model import MOST_CELLS, TableModel, model_tables
 from std_toolkit.scanning.photos.views import Grid, View, in_threads
+from std_toolkit.scanning.photos.visibility import part_of
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 # Voxels of the first, coarse hull.
@@ -23,6 +25,10 @@ _TALLEST = 2.0
 _INNER, _OUTER = 0.7, 1.15
 # Rim of a coarse hull that may not be the object, as a share of the depth where it is deepest.
 _RIM = 0.3
+# Photos that a voxel must hide the table from, as a share of those that the surest do.
+_AGREED = 0.5
+# Pixels around a box that are compared with the table: an island there joins the table beside it.
+_AROUND_PX = 24
 
 Surface = tuple[Array, NDArray[np.int64]]
 
@@ -50,6 +56,8 @@ class Candidate:
         voxels: surfaces (vertices, faces) of all that may belong to it, which includes what is
             above the hull and stands before no known table in any photo, and of its inner part.
             None if it was found by points alone.
+        agreed: surface of its voxels that hide the table from many photos: without the spikes of
+            a hull of few photos. None if it was found by points alone.
         points: (N, 3) its features, if it was found by these.
     """
 
@@ -59,6 +67,7 @@ class Candidate:
     vertices: Array
     faces: NDArray[np.int64]
     voxels: tuple[Surface, Surface] | None = None
+    agreed: Surface | None = None
     points: Array | None = None
 
     @property
@@ -166,15 +175,42 @@ def compare_with_table(
 
     Args:
         views, corners, blocked, cells: as of `model_tables`.
+        bare, threads: as of `compare_with_tables`.
+    """
+    tables = model_tables(views, corners, blocked, cells=cells, threads=threads)
+    return compare_with_tables(views, tables, bare=bare, threads=threads)
+
+
+def compare_with_tables(
+    views: Sequence[View],
+    tables: Sequence[TableModel],
+    *,
+    bare: Mapping[str, Array] | None = None,
+    within: Array | None = None,
+    threads: int,
+) -> list[Comparison]:
+    """The photos against known tables.
+
+    Args:
+        views: photos.
+        tables: of `model_tables` over all of them.
         bare: corners (N, 4, 2) in pixels of bare tags, by the name of the photo.
+        within: (2, 3) low and high corner of a box, world: only pixels before it, and those around
+            these, are compared. None: all.
         threads: number of threads.
     """
-    tables = model_tables(views, corners, blocked, cells=cells)
     bare = bare or {}
 
     def one(i: int) -> Comparison:
-        quads = bare.get(views[i].name)
-        found = compare(views[i], tables, i)
+        view, window = views[i], None
+        if within is not None:
+            w, h = view.camera.size
+            # A photo that shows nothing of the box is compared in a corner.
+            x0, y0, x1, y1 = part_of(view, within, (0, 0, w, h)) or (0, 0, 1, 1)
+            window = (max(0, x0 - _AROUND_PX), max(0, y0 - _AROUND_PX),
+                      min(w, x1 + _AROUND_PX), min(h, y1 + _AROUND_PX))  # fmt: skip
+        found = compare(view, tables, i, window)
+        quads = bare.get(view.name)
         return found if quads is None else _with_bare(found, quads)
 
     return in_threads(one, range(len(views)), threads=threads)
@@ -200,12 +236,32 @@ def _silhouettes(views: Sequence[View], solid: Mask, grid: Grid) -> list[Mask]:
     found = []
     for view in views:
         uv, z = view.project(vertices)
-        drawn = np.zeros(view.image.shape[:2], np.uint8)
-        triangles = uv[faces][(np.isfinite(uv).all(axis=1) & (z > 0))[faces].all(axis=1)]
-        for part in np.rint(triangles).astype(np.int32):
-            cv2.fillConvexPoly(drawn, part, 1)
-        found.append(drawn > 0)
+        drawn = np.zeros(view.image.shape[:2], bool)
+        ok = np.isfinite(uv).all(axis=1) & (z > 0)
+        pixels = np.rint(np.where(ok[:, None], uv, 0).clip(-1e6, 1e6)).astype(np.int64)
+        _draw(pixels, faces[ok[faces].all(axis=1)], drawn)
+        found.append(drawn)
     return found
+
+
+@compiled
+def _draw(pixels, faces, drawn) -> None:  # type: ignore[no-untyped-def]
+    """Mark the pixels of triangles, those of their edges included."""
+    h, w = drawn.shape
+    for n in range(len(faces)):
+        ax, ay = pixels[faces[n, 0]]
+        bx, by = pixels[faces[n, 1]]
+        cx, cy = pixels[faces[n, 2]]
+        if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0:
+            bx, by, cx, cy = cx, cy, bx, by
+        for y in range(max(0, min(ay, by, cy)), min(h - 1, max(ay, by, cy)) + 1):
+            for x in range(max(0, min(ax, bx, cx)), min(w - 1, max(ax, bx, cx)) + 1):
+                if (
+                    (bx - ax) * (y - ay) >= (by - ay) * (x - ax)
+                    and (cx - bx) * (y - by) >= (cy - by) * (x - bx)
+                    and (ax - cx) * (y - cy) >= (ay - cy) * (x - cx)
+                ):
+                    drawn[y, x] = True
 
 
 def _not_carved(
@@ -215,29 +271,36 @@ def _not_carved(
 
     The latter stand before the bare table in few photos.
     """
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
-    points = grid.points(index.reshape(-1, 3))
-    clear = np.zeros(len(points), np.int16)
-    different = np.zeros(len(points), np.int16)
+    clear, different = (np.zeros(grid.shape, np.int16) for _ in range(2))
+    origin = np.asarray(grid.origin)
+    middle = grid.points(np.array(grid.shape)[None] / 2)
     for view, c in zip(views, compared, strict=True):
-        homogeneous = points @ view.P[:, :3].T + view.P[:, 3]
-        z = homogeneous[:, 2]
-        h, w = view.image.shape[:2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = np.rint(homogeneous[:, 0] / z)
-            y = np.rint(homogeneous[:, 1] / z)
-        ok = (z > 0.02) & (x >= 0) & (y >= 0) & (x < w) & (y < h)
-        xi, yi = x[ok].astype(np.int64), y[ok].astype(np.int64)
         # The coarse voxel covers several pixels: all of them must be clear.
-        radius = max(0, round(0.35 * grid.step * view.camera.fx / float(np.median(z[ok])))) if (
-            ok.any()
-        ) else 0  # fmt: skip
+        away = max(0.02, float((view.P[2, :3] @ middle[0]) + view.P[2, 3]))
+        radius = max(0, round(0.35 * grid.step * view.camera.fx / away))
         kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
         whole = cv2.erode(c.clear.astype(np.uint8), kernel) > 0
-        clear[ok] += whole[yi, xi]
-        different[ok] += c.different[yi, xi]
-    possible = (clear <= np.maximum(1, 0.12 * different)).reshape(grid.shape)
-    return different.reshape(grid.shape), possible
+        _count(view.P, origin, grid.step, whole, c.different, clear, different)
+    return different, np.asarray(clear <= np.maximum(1, 0.12 * different))
+
+
+@compiled
+def _count(P, origin, step, whole, differs, clear, different) -> None:  # type: ignore[no-untyped-def]
+    """Add a photo to the counts of the voxels that it shows clear and different."""
+    h, w = whole.shape
+    for k in range(clear.shape[0]):
+        for j in range(clear.shape[1]):
+            y, z = origin[1] + j * step, origin[2] + k * step
+            for i in range(clear.shape[2]):
+                x = origin[0] + i * step
+                away = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+                if away <= 0.02:
+                    continue
+                u = int(np.rint((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / away))
+                v = int(np.rint((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / away))
+                if 0 <= u < w and 0 <= v < h:
+                    clear[k, j, i] += whole[v, u]
+                    different[k, j, i] += differs[v, u]
 
 
 def split_hull(hull: CoarseHull, photos: int) -> tuple[list[Candidate], NDArray[np.int32]]:
@@ -265,8 +328,12 @@ def split_hull(hull: CoarseHull, photos: int) -> tuple[list[Candidate], NDArray[
         field = np.where(part, -grid.step, grid.step).astype(np.float32)
         vertices, faces = surface_of(field, local)
         surfaces = _outer(labels == n, possible, grid), _inner(part, local)
+        hides = different[place]
+        agreed = part & (hides >= _AGREED * np.percentile(hides[part], 90))
+        agreed = ndimage.binary_fill_holes(largest_component(agreed))
         found.append((n, Candidate(
             vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces, surfaces,
+            surface_of(np.where(agreed, -grid.step, grid.step).astype(np.float32), local),
         )))  # fmt: skip
     found.sort(key=lambda f: -f[1].volume)
     found = [f for f in found if f[1].volume > limits.small * found[0][1].volume]

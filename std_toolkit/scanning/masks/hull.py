@@ -13,21 +13,37 @@ from std_toolkit.scanning.photos.views import Grid, View, in_threads
 
 # Signed distances to outlines are kept in steps of 1/32 pixel.
 _STEPS = 32.0
+_FARTHEST = 32000
 _MOST_ALLOWED = 8
+# Pixels around a mask beyond which a voxel is outside anyway.
+_REACH = 64
 
 
-def outline_distance(mask: Mask) -> NDArray[np.int16]:
+def outline_distance(mask: Mask, reach: int | None = None) -> NDArray[np.int16]:
     """Signed distance of pixel centres to the outline of a mask in 1/32 pixel, positive outside.
 
     A side where the mask meets the border of the image is no outline: the object may go on there.
+
+    Args:
+        mask: (H, W).
+        reach: pixels around the mask from which its distance does not matter: it is then as large
+            as it can be. None: it matters everywhere.
     """
+    if reach is not None:
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        found = np.full(mask.shape, _FARTHEST, np.int16)
+        if len(rows):
+            place = (slice(max(0, rows[0] - reach), rows[-1] + reach + 1),
+                     slice(max(0, columns[0] - reach), columns[-1] + reach + 1))  # fmt: skip
+            found[place] = outline_distance(mask[place])
+        return found
     h, w = mask.shape
     padded = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     inside = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     outside = cv2.distanceTransform(1 - padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     # The outline lies half a pixel from the centres on both of its sides.
     signed = np.where(padded > 0, 0.5 - inside, outside - 0.5)[1 : h + 1, 1 : w + 1]
-    return np.asarray(np.clip(np.rint(signed * _STEPS), -32000, 32000), dtype=np.int16)
+    return np.asarray(np.clip(np.rint(signed * _STEPS), -_FARTHEST, _FARTHEST), dtype=np.int16)
 
 
 def hull_field(views: Sequence[View], grid: Grid, *, allowed: int = 0, threads: int = 1) -> Floats:
@@ -49,7 +65,7 @@ def hull_field(views: Sequence[View], grid: Grid, *, allowed: int = 0, threads: 
     distance = np.zeros((len(views), height, width), np.int16)
     for i, view in enumerate(views):
         h, w = sizes[i]
-        distance[i, :h, :w] = outline_distance(view.possible)
+        distance[i, :h, :w] = outline_distance(view.possible, _REACH)
     field = np.empty(grid.shape, np.float32)
     origin = np.array(grid.origin)
     parts = np.array_split(np.arange(grid.shape[0]), min(grid.shape[0], 4 * threads))

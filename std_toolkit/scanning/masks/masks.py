@@ -14,7 +14,10 @@ from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.log import logger
 from std_toolkit.scanning.masks.hull import hull_field, largest_component, surface_of
 from std_toolkit.scanning.photos.views import Grid, View, in_threads
-from std_toolkit.scanning.photos.visibility import hull_depth
+from std_toolkit.scanning.photos.visibility import hull_depth, hull_pixels
+
+# Width and height, in sum, from which an object is cut in half the size at first.
+_LARGE_PX = 300
 
 
 def segment_by_border(views: Sequence[View], *, threads: int) -> list[View]:
@@ -100,7 +103,10 @@ def consistent(
     for n in range(rounds):
         caster = hull_of(current, cells=1_000_000, allowed=len(current) // 12, threads=threads)
 
-        def one(i: int, caster: RayCaster = caster, band: int = 5 - n, now: Any = current) -> View:
+        def one(
+            i: int, caster: RayCaster = caster, band: int = 5 - n, now: Any = current,
+            coarse: bool = n < rounds - 1,
+        ) -> View:  # fmt: skip
             view = now[i]
             inside = covered(view, caster)
             hidden = view.hidden if view.hidden is not None else np.zeros(inside.shape, bool)
@@ -111,7 +117,8 @@ def consistent(
             sure = eroded(inside & ~hidden, band) & (view.shown | eroded(inside, 4 * band))
             if always is not None:
                 sure |= always[i] & inside & ~hidden
-            return view.with_mask(grab_cut(view.image, maybe, sure), view.hidden)
+            found = grab_cut(view.image, maybe, sure, coarse=coarse)
+            return view.with_mask(found, view.hidden)
 
         changed = in_threads(one, range(len(current)), threads=threads)
         moved = [
@@ -186,7 +193,7 @@ def hull_surface(
 
 def covered(view: View, caster: RayCaster) -> Mask:
     """Pixels of a photo that the hull covers."""
-    return view_depth(view, caster) > 0
+    return hull_pixels(view, caster)
 
 
 def view_depth(view: View, caster: RayCaster) -> NDArray[np.float32]:
@@ -195,8 +202,14 @@ def view_depth(view: View, caster: RayCaster) -> NDArray[np.float32]:
     return hull_depth(view, caster, np.zeros(3), whole)[0]
 
 
-def grab_cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask) -> Mask:
-    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`."""
+def grab_cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask, *, coarse: bool = False) -> Mask:
+    """Pixels of the object by GrabCut, within `maybe` and with all of `sure`.
+
+    Args:
+        image: (H, W, 3) RGB.
+        maybe, sure: (H, W).
+        coarse: cut a large object in an image of half the size: the outline is a pixel off.
+    """
     rows, columns = np.flatnonzero(maybe.any(axis=1)), np.flatnonzero(maybe.any(axis=0))
     result = np.zeros(maybe.shape, bool)
     if len(rows) < 3 or len(columns) < 3 or sure.sum() < 30:
@@ -205,24 +218,40 @@ def grab_cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask) -> Mask:
     y0, y1 = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, maybe.shape[0])
     x0, x1 = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, maybe.shape[1])
     window = (slice(y0, y1), slice(x0, x1))
-    state = np.full((y1 - y0, x1 - x0), cv2.GC_BGD, np.uint8)
-    state[maybe[window]] = cv2.GC_PR_FGD
-    state[sure[window]] = cv2.GC_FGD
-    if (state == cv2.GC_BGD).sum() < 30:
+    photo, may, must = image[window], maybe[window], sure[window]
+    if not coarse or len(rows) + len(columns) < _LARGE_PX:
+        result[window] = _cut(photo, may, must)
+        return result
+    h, w = may.shape
+    size = (w + 1) // 2, (h + 1) // 2
+    # Only pixels that are certain as a whole are certain.
+    small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+             for m in (may, must)]  # fmt: skip
+    half = np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA), np.uint8)
+    found = _cut(half, small[0] > 0, small[1] > 0.999).astype(np.float32)
+    result[window] = (cv2.resize(found, (w, h), interpolation=cv2.INTER_LINEAR) > 0.5) & may
+    return result
+
+
+def _cut(image: NDArray[np.uint8], maybe: Mask, sure: Mask) -> Mask:
+    """Pixels of the object by GrabCut, cleaned, in an image (H, W, 3) that shows little else."""
+    state = np.full(maybe.shape, cv2.GC_BGD, np.uint8)
+    state[maybe] = cv2.GC_PR_FGD
+    state[sure] = cv2.GC_FGD
+    if (state == cv2.GC_BGD).sum() < 30 or sure.sum() < 30:
         return np.asarray(maybe)
-    crop = np.ascontiguousarray(image[window][..., ::-1])
+    crop = np.ascontiguousarray(image[..., ::-1])
     cv2.setRNGSeed(0)
     models = np.zeros((1, 65)), np.zeros((1, 65))
     cv2.grabCut(crop, state, None, *models, 3, cv2.GC_INIT_WITH_MASK)  # type: ignore[call-overload]
     found = (state == cv2.GC_FGD) | (state == cv2.GC_PR_FGD)
-    found = ndimage.binary_opening(found, iterations=1) | (sure[window] & found)
+    found = ndimage.binary_opening(found, iterations=1) | (sure & found)
     labels, count = ndimage.label(found)
     if count > 1:
         sizes = np.bincount(labels.ravel())
         sizes[0] = 0
         found = sizes[labels] > 0.02 * sizes.max()
-    result[window] = _small_holes_filled(found)
-    return result
+    return _small_holes_filled(found)
 
 
 def _small_holes_filled(mask: Mask) -> Mask:

@@ -19,7 +19,12 @@ from std_toolkit.log import logger
 from std_toolkit.poses.board_scale import Board
 from std_toolkit.scanning.board.object_checks import check_opaque
 from std_toolkit.scanning.board.tags_through import check_tags, tags_at_place, tags_through
-from std_toolkit.scanning.masks.candidates import Candidate, compare_with_table, find_candidates
+from std_toolkit.scanning.masks.candidates import (
+    Candidate,
+    compare_with_table,
+    compare_with_tables,
+    find_candidates,
+)
 from std_toolkit.scanning.masks.masks import dilated, segment_by_border
 from std_toolkit.scanning.masks.outlines import Shown, best_photos, draw_candidates
 from std_toolkit.scanning.masks.proven_masks import segment_on_table
@@ -30,6 +35,7 @@ from std_toolkit.scanning.masks.standing import (
     sure_candidates,
 )
 from std_toolkit.scanning.masks.table_comparison import Comparison
+from std_toolkit.scanning.masks.table_model import TableModel, model_tables
 from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
 from std_toolkit.scanning.photos.views import View
@@ -75,12 +81,18 @@ class Things:
         return found
 
     @cached_property
-    def compared(self) -> list[Comparison]:
-        """The photos against the table."""
+    def _tables(self) -> list[TableModel]:
+        """The table without what stands on it."""
         views = self.posed.views
         blocked = self.standing.hull.silhouettes(views)
-        return compare_with_table(
-            views, self.posed.corners, blocked, bare=self.bare, threads=self._threads
+        return model_tables(views, self.posed.corners, blocked, threads=self._threads)
+
+    def compared(self, one: Candidate) -> list[Comparison]:
+        """The photos against the table around an object."""
+        vertices, _ = one.outer
+        box = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        return compare_with_tables(
+            self.posed.views, self._tables, bare=self.bare, within=box, threads=self._threads
         )
 
     @cached_property
@@ -126,11 +138,22 @@ class Things:
         check_tags(self._through, tags, caster)
 
     def draw(self, path: Path, names: Sequence[str] = (), folder: str = "") -> None:
-        """Write the picture of all objects: each outlined, with its number or name and its pick."""
+        """Write the picture of all objects: each outlined, with its number or name and its pick.
+
+        Places that are left out come after them, and a warning counts them.
+        """
         picks = self.picks(folder)
         names = names or [str(n) for n in range(1, len(picks) + 1)]
         words = [f"{name}  --pick {pick}" for name, pick in zip(names, picks, strict=True)]
-        draw_candidates(path, self.shown, self.posed.views, words)
+        beside = [s for s in best_photos(self.standing.left_out, self.posed.views) if s.mask.any()]
+        words += [f"not scanned, in {self.posed.views[one.photo].name}" for one in beside]
+        draw_candidates(path, [*self.shown, *beside], self.posed.views, words)
+        if beside:
+            logger.warning(
+                "places on the board that stand out and are not scanned: %d. Photos show the table "
+                "there in part: flat, thin, clear or black things, or shadows. %s shows them; scan "
+                "such a thing alone, with --masks", len(beside), path,
+            )  # fmt: skip
 
 
 def object_masks(
@@ -159,7 +182,7 @@ def object_masks(
     own = own_masks(options.masks, posed)
     if len(own) == len(views):
         return [v.with_mask(own[v.name]) for v in views]
-    values = {"pick": options.pick, "box": options.box, "format": 14}
+    values = {"pick": options.pick, "box": options.box, "format": 15}
     artefact = Artefact(work, "masks", {"poses": posed.digest}, values, limits=LIMITS)
 
     def make() -> dict[str, Any]:
@@ -207,7 +230,7 @@ def table_masks(options: ScanOptions, things: Things, threads: int, folder: str 
     found, chosen = choose_candidate(things.standing.candidates, views, pick=pick, box=box)
     if things.many:
         things.check_tags(options, found[chosen])
-        compared = things.compared
+        compared = things.compared(found[chosen])
     if not options.revolve:
         check_opaque(views, posed.found, *found[chosen].inner)
     done = segment_on_table(views, found, chosen, compared, threads=threads)

@@ -27,6 +27,7 @@ from std_toolkit.scanning.masks.masks import (
 )
 from std_toolkit.scanning.masks.table_comparison import Comparison
 from std_toolkit.scanning.photos.views import View, in_threads
+from std_toolkit.scanning.photos.visibility import hull_depth
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 
@@ -76,9 +77,13 @@ def segment_on_table(
         view = views[i]
         reach = view_depth(view, outer)
         hidden = np.zeros(reach.shape, bool)
-        if before is not None:
-            other = view_depth(view, before)
-            hidden = (other > 0) & (other < reach) & (reach > 0)
+        if before is not None and reach.any():
+            # Only where the object may be.
+            rows, columns = np.flatnonzero(reach.any(axis=1)), np.flatnonzero(reach.any(axis=0))
+            x0, x1, y0, y1 = columns[0], columns[-1] + 1, rows[0], rows[-1] + 1
+            other, _ = hull_depth(view, before, np.zeros(3), (x0, y0, x1, y1))
+            ours = reach[y0:y1, x0:x1]
+            hidden[y0:y1, x0:x1] = (other > 0) & (other < ours)
         table = without_islands(compared[i].clear, reach > 0)
         shown = (reach > 0) & ~table & ~hidden
         return view.with_mask(shown, hidden if hidden.any() else None), table
@@ -100,10 +105,11 @@ def segment_on_table(
         seen |= c.clear & ~never[i] & eroded(inside, 2) & ~hidden
         # Before a wall it may be the air above a vessel: from above, its inside looks as if
         # something stood there.
-        certain = (view_depth(view, inner) > 0) & ~c.beyond
+        certain = covered(view, inner) & ~c.beyond
         core = eroded(certain & ~never[i] & ~hidden, 3)
         maybe = dilated(inside, 3) & ~never[i] & ~hidden
-        return view.with_mask(grab_cut(view.image, maybe, seen | core), view.hidden), seen
+        cut = grab_cut(view.image, maybe, seen | core, coarse=True)
+        return view.with_mask(cut, view.hidden), seen
 
     found = in_threads(proven, range(len(views)), threads=threads)
     if not others:

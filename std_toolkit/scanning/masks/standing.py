@@ -6,7 +6,7 @@ do.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -75,11 +75,14 @@ class Standing:
         candidates: the objects, largest first.
         hull: voxels of all of them.
         tags: (N, 2) middles of the bare tags of all photos on the table.
+        left_out: places on the board that stand out, largest first, though photos show the table
+            there in part: flat, thin, clear or black things, or shadows.
     """
 
     candidates: list[Candidate]
     hull: CoarseHull
     tags: Array
+    left_out: list[Candidate] = field(default_factory=list)
 
 
 def find_standing(
@@ -111,7 +114,10 @@ def find_standing(
     left = np.zeros(len(parts) + 1, np.int32)
     left[[parts.index(part) + 1 for part in kept]] = np.arange(1, len(kept) + 1)
     found = _told_apart(kept, left[number], hull.grid, _clusters(points))
-    return Standing(sure_candidates(found, few, corners, hull.compared, tags), hull, tags)
+    found = sure_candidates(found, few, corners, hull.compared, tags)
+    bounds = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    left_out = [c for c in parts if c not in kept and _on_board(c, *bounds) and not _bare(c, tags)]
+    return Standing(found, hull, tags, left_out)
 
 
 def _on_table(views: Sequence[View], quads: Mapping[str, Array]) -> Array:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.arrays import Array, Floats, Mask
-from std_toolkit.scanning.photos.views import View
+from std_toolkit.scanning.masks.table_cells import agree, showing
+from std_toolkit.scanning.photos.views import View, in_threads
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
 _CELL_M = 0.001
@@ -107,6 +108,7 @@ def model_tables(
     blocked: Sequence[Mask] | None = None,
     *,
     cells: int = MOST_CELLS,
+    threads: int = 1,
 ) -> list[TableModel]:
     """The table near the board and, if it is at rest, far around it, as low photos show it.
 
@@ -115,13 +117,14 @@ def model_tables(
         corners: (M, 3) corners of the board, world.
         blocked: (H, W) pixels of each photo before which something stands.
         cells: number of cells of each table at most.
+        threads: number of threads.
     """
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     size = float((high - low).max())
     low, high = low - _NEAR * size, high + _NEAR * size
-    tables = [model_table(views, low, high, corners, blocked, cells=cells)]
+    tables = [model_table(views, low, high, corners, blocked, cells=cells, threads=threads)]
     low, high = low - _FAR * size, high + _FAR * size
-    far = model_table(views, low, high, corners, blocked, cells=cells)
+    far = model_table(views, low, high, corners, blocked, cells=cells, threads=threads)
     return [*tables, far] if is_table(far) else tables
 
 
@@ -133,6 +136,7 @@ def model_table(
     blocked: Sequence[Mask] | None = None,
     *,
     cells: int = MOST_CELLS,
+    threads: int = 1,
 ) -> TableModel:
     """Colours of the table between two corners (x, y), metres.
 
@@ -142,35 +146,44 @@ def model_table(
         corners: (M, 3) corners of the board that photos show, world: they lie on the table.
         blocked: (H, W) pixels of each photo before which something stands.
         cells: number of cells at most.
+        threads: number of threads.
     """
     limits = TableModelSettings.current()
     cell = max(_CELL_M, float(np.sqrt((high - low).prod() / cells)))
     w, h = (int(n) for n in np.ceil((high - low) / cell) + 1)
     y, x = np.mgrid[:h, :w]
-    points = np.stack([low[0] + x * cell, low[1] + y * cell, np.zeros(x.shape)], axis=-1)
-    flat = points.reshape(-1, 3)
+    flat = np.stack([low[0] + x * cell, low[1] + y * cell], axis=-1).reshape(-1, 2)
     samples = np.zeros((len(views), h * w, 3), np.uint8)
     seen = np.zeros((len(views), h * w), bool)
     shown = np.zeros((len(views), h * w), bool)
-    for i, view in enumerate(views):
-        uv, z = view.project(flat)
-        uv = np.where(np.isfinite(uv), uv, -10).astype(np.float32)
-        inside = (uv > 0).all(axis=1) & (uv < np.array(view.camera.size) - 1).all(axis=1) & (z > 0)
-        steep = view.centre[2] / np.linalg.norm(view.centre - flat, axis=1) > limits.flattest
+
+    def sample(i: int) -> None:
+        view = views[i]
+        u, v, z = view.P[:, :2] @ flat.T + view.P[:, 3:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = (np.where(z > 0, a / z, -10).astype(np.float32) for a in (u, v))
+        width, height = view.camera.size
+        inside = (u > 0) & (v > 0) & (u < width - 1) & (v < height - 1)
+        across = (flat[:, 0] - view.centre[0]) ** 2 + (flat[:, 1] - view.centre[1]) ** 2
+        steep = view.centre[2] > limits.flattest * np.sqrt(across + view.centre[2] ** 2)
         seen[i] = shown[i] = inside & steep
         if blocked is not None:
-            x, y = np.rint(uv[inside].T).astype(np.int64)
-            seen[i, inside] &= ~blocked[i][y, x]
+            column, row = (np.rint(a[inside]).astype(np.int64) for a in (u, v))
+            seen[i, inside] &= ~blocked[i][row, column]
         blurred = cv2.GaussianBlur(view.image, (0, 0), 0.7)
         # Maps of OpenCV are limited to 32767 rows.
-        samples[i] = cv2.remap(
-            blurred, uv[:, 0].reshape(h, w), uv[:, 1].reshape(h, w), cv2.INTER_LINEAR
-        ).reshape(-1, 3)
+        samples[i] = cv2.remap(blurred, u.reshape(h, w), v.reshape(h, w), cv2.INTER_LINEAR).reshape(
+            -1, 3
+        )
+
+    in_threads(sample, range(len(views)), threads=threads)
     gains = np.ones((len(views), 3), np.float32)
     color = np.zeros((h * w, 3), np.float32)
     spread = np.zeros(h * w, np.float32)
     # A table shines, paper hardly: where it is the larger part, the board tells the exposures.
-    board = ((flat >= corners.min(axis=0)) & (flat <= corners.max(axis=0)))[:, :2].all(axis=1)
+    board = np.ones(h * w, bool)
+    for k in range(2):
+        board &= (flat[:, k] >= corners[:, k].min()) & (flat[:, k] <= corners[:, k].max())
     board |= board.mean() < _BOARD
     for _ in range(2):
         color, spread = _agreed(samples, seen, gains)
@@ -240,6 +253,10 @@ def _continue(
     too: the outlines that block them may be too large.
     """
     limits = TableModelSettings.current()
+    values = np.array(
+        [limits.continued, limits.darkest, limits.brightest, limits.other_hue,
+         limits.continued_share, limits.fewest_photos]
+    )  # fmt: skip
     origin = color.copy()
     for _ in range(_RINGS):
         near = cv2.dilate(known.astype(np.uint8), np.ones((2 * _RING + 1,) * 2, np.uint8)) > 0
@@ -253,20 +270,10 @@ def _continue(
             cv2.blur(c * known[..., None], (2 * _RING + 1,) * 2)[rows, columns] / share
             for c in (color, origin)
         )
-        value = samples[:, rows, columns].astype(np.float32) / gains[:, None]
-        there = shown[:, rows, columns]
-        fits = there & (np.abs(value - expected).max(axis=-1) < limits.continued)
-        gain = value.mean(axis=-1) / np.maximum(bare.mean(axis=-1), 1)
-        hue = np.abs(value - gain[..., None] * bare).max(axis=-1)
-        fits &= (gain > limits.darkest) & (gain < limits.brightest) & (hue < limits.other_hue)
-        count = fits.sum(axis=0)
-        enough = (count >= limits.fewest_photos) & (
-            count >= limits.continued_share * there.sum(axis=0)
-        )
-        mean = (value * fits[..., None]).sum(axis=0) / np.maximum(count, 1)[:, None]
-        off = np.abs(value - mean).max(axis=-1)
-        spread = (off * fits).sum(axis=0) / np.maximum(count, 1)
-        enough &= spread < limits.steady * max(usual, 1.0)
+        enough, mean = showing(
+            samples, shown, gains, rows, columns, expected, bare, values,
+            limits.steady * max(usual, 1.0),
+        )  # fmt: skip
         rows, columns = rows[enough], columns[enough]
         if len(rows) == 0:
             return
@@ -288,58 +295,10 @@ def _agreed(samples: NDArray[np.uint8], seen: Mask, gains: Floats) -> tuple[Floa
     where other photos agree as well on another colour.
     """
     limits = TableModelSettings.current()
-    photos, count = samples.shape[:2]
+    count = samples.shape[1]
     color = np.zeros((count, 3), np.float32)
     spread = np.full(count, 255, np.float32)
-    rank = np.arange(photos)[:, None]
-    for part in np.array_split(np.arange(count), max(1, count // 50_000)):
-        value = samples[:, part].astype(np.float32) / gains[:, None]
-        grey = value.mean(axis=-1)
-        grey[~seen[:, part]] = np.inf
-        order = grey.argsort(axis=0)
-        grey = np.take_along_axis(grey, order, axis=0)
-        n = seen[:, part].sum(axis=0)
-        first, last, width = _narrowest(grey, n, limits.agree, np.ones(grey.shape, bool))
-        start, end, third = _narrowest(grey, n, limits.agree_beside, np.ones(grey.shape, bool))
-        take = third * limits.better / limits.agree_beside < width / limits.agree
-        first, last = np.where(take, start, first), np.where(take, end, last)
-        width = np.where(take, third, width)
-        used = (rank >= first) & (rank < last)
-        start, end, other = _narrowest(grey, n, limits.agree_else, ~used)
-        ours, theirs = (np.take_along_axis(grey, i[None], axis=0)[0] for i in (first, start))
-        with np.errstate(invalid="ignore"):
-            doubtful = (other < 2 * width + limits.close) & (
-                np.abs(ours - theirs) > limits.continued
-            )
-        value = np.take_along_axis(value, order[..., None], axis=0) * used[..., None]
-        total = np.maximum(used.sum(axis=0), 1)[:, None]
-        mean = value.sum(axis=0) / total
-        off = (np.abs(value - mean) * used[..., None]).max(axis=-1)
-        color[part] = np.where(n[:, None] > 0, mean, 0)
-        spread[part] = np.where((n > 0) & ~doubtful, 2 * off.sum(axis=0) / total[:, 0], 255)
+    shares = np.array([limits.agree, limits.agree_beside, limits.agree_else])
+    agree(samples, seen, gains.astype(np.float32), shares, limits.better, limits.close,
+           limits.continued, color, spread)  # fmt: skip
     return color, spread
-
-
-def _narrowest(
-    grey: Floats, n: NDArray[np.int64], share: float, allowed: Mask
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """First, end and width (N,) of the share of sorted values (V, N) that differs least.
-
-    Args:
-        grey: values of each cell, ascending; the first n of them are valid.
-        n: (N,).
-        share: of the n values.
-        allowed: (V, N) values that may be used.
-    """
-    photos = len(grey)
-    rank = np.arange(photos)[:, None]
-    k = np.maximum(np.ceil(share * n).astype(np.int64), 1)
-    end = np.minimum(rank + k - 1, photos - 1)
-    within = (rank + k <= n) & allowed & np.take_along_axis(allowed, end, axis=0)
-    # All k values must be allowed.
-    count = np.vstack([np.zeros((1, grey.shape[1]), np.int64), allowed.cumsum(axis=0)])
-    within &= np.take_along_axis(count, end + 1, axis=0) - count[:-1] == k
-    high = np.take_along_axis(grey, end, axis=0)
-    width = np.where(within, np.where(within, high, 0) - np.where(within, grey, 0), np.inf)
-    start = width.argmin(axis=0)
-    return start, start + k, width[start, np.arange(grey.shape[1])].astype(np.float32)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from std_toolkit.arrays import Array, Floats
+from std_toolkit.arrays import Array, Floats, Mask
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.photos.views import View
 from std_toolkit.settings import Settings, limit
@@ -38,18 +38,14 @@ def hull_depth(
     x0, y0, x1, y1 = window
     depth = np.zeros((y1 - y0, x1 - x0), np.float32)
     normal = np.zeros((y1 - y0, x1 - x0, 3), np.float32)
-    # No ray beside the box around the surface can meet it.
-    left, top, right, bottom = _within(view, caster.bounds + offset, window)
-    if left >= right or top >= bottom:
+    part = part_of(view, caster.bounds + offset, window)
+    if part is None:
         return depth, normal
-    place = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
-    u, v = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
-    local = view.camera.unproject(np.stack([u, v], axis=-1))
-    rays = np.empty((*u.shape, 6), np.float32)
-    rays[..., :3] = view.centre - offset
-    rays[..., 3:] = local @ view.T_world_cam.R.T
+    local, rays = _rays(view, offset, part)
     hits = caster.cast(rays)
     hit = np.isfinite(hits.distance)
+    left, top, right, bottom = part
+    place = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
     depth[place] = np.where(hit, hits.distance, 0)
     turned = (hits.normal @ view.T_world_cam.R).astype(np.float32)
     turned[(turned * local).sum(axis=-1) > 0] *= -1
@@ -57,13 +53,40 @@ def hull_depth(
     return depth, normal
 
 
-def _within(
+def hull_pixels(view: View, caster: RayCaster) -> Mask:
+    """Pixels (H, W) of a photo whose rays meet a surface in world coordinates."""
+    found = np.zeros(view.image.shape[:2], bool)
+    part = part_of(view, caster.bounds, (0, 0, view.camera.width, view.camera.height))
+    if part is not None:
+        left, top, right, bottom = part
+        found[top:bottom, left:right] = caster.occluded(_rays(view, np.zeros(3), part)[1])
+    return found
+
+
+def _rays(
+    view: View, offset: Array, window: tuple[int, int, int, int]
+) -> tuple[Array, NDArray[np.float32]]:
+    """Rays of the pixels of a window: (h, w, 3) with z = 1 in the camera frame, and (h, w, 6)
+    origin and direction in world coordinates minus `offset`."""
+    left, top, right, bottom = window
+    u, v = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
+    local = view.camera.unproject(np.stack([u, v], axis=-1))
+    rays = np.empty((*u.shape, 6), np.float32)
+    rays[..., :3] = view.centre - offset
+    rays[..., 3:] = local @ view.T_world_cam.R.T
+    return local, rays
+
+
+def part_of(
     view: View, bounds: Array, window: tuple[int, int, int, int]
-) -> tuple[int, int, int, int]:
-    """The part of a window of a photo without lens distortion that may show a box (2, 3), world."""
+) -> tuple[int, int, int, int] | None:
+    """The part of a window of a photo without lens distortion that may show a box (2, 3), world.
+
+    No ray beside it can meet what is in the box. None: nothing of the window shows the box.
+    """
     x0, y0, x1, y1 = window
     if not np.isfinite(bounds).all():
-        return x0, y0, x0, y0
+        return None
     corners = np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(-1, 3)
     uv, z = view.project(corners)
     if not (z > _NEAREST_M).all():
@@ -71,6 +94,8 @@ def _within(
     low, high = np.floor(uv.min(axis=0)) - 1, np.ceil(uv.max(axis=0)) + 2
     left, top = np.clip(low, (x0, y0), (x1, y1)).astype(int)
     right, bottom = np.clip(high, (x0, y0), (x1, y1)).astype(int)
+    if left >= right or top >= bottom:
+        return None
     return int(left), int(top), int(right), int(bottom)
 
 

@@ -112,7 +112,7 @@ def measure_side(
     lap("hull")
     values = {name: getattr(options, name) for name in ("voxels", "neighbours", "depth")}
     inputs = {"poses": posed.digest, "masks": _mask_digest(views)}
-    artefact = Artefact(work, "depth", inputs, values | {"format": 2}, limits=LIMITS)
+    artefact = Artefact(work, "depth", inputs, values | {"format": 3}, limits=LIMITS)
     looked = views if disputed is hull else _with_disputed(views, disputed, grid, threads)
     maps = _depth(engine, looked, disputed, grid, longest, options.neighbours, artefact, threads)
     sensor = _sensor(posed, views, hull, grid, threads)

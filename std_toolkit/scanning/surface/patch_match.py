@@ -6,6 +6,7 @@ Multiview Stereopsis by Surface Normal Diffusion", ICCV 2015.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -71,97 +72,115 @@ def match(
     return depth, turned, cost, contrast
 
 
-@compiled
+# Sums may be taken in any order; a division by zero is no error.
+_fast = partial(compiled, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
+
+
+@_fast
+def _window(grey, mask, x, y, cx, cy, du, dv, value):  # type: ignore[no-untyped-def]
+    """Number, mean and variance of the grey values around a pixel of the mask; writes their
+    offsets from it and their values less the mean."""
+    h, w = mask.shape
+    count = 0
+    total = np.float32(0)
+    for j in range(-5, 6, 2):
+        for i in range(-5, 6, 2):
+            ly, lx = y + j, x + i
+            if ly < 0 or lx < 0 or ly >= h or lx >= w or mask[ly, lx] == 0:
+                continue
+            du[count] = i
+            dv[count] = j
+            value[count] = grey[ly + cy, lx + cx]
+            total += value[count]
+            count += 1
+    mean = total / np.float32(max(count, 1))
+    square = np.float32(0)
+    for n in range(count):
+        value[n] -= mean
+        square += value[n] * value[n]
+    return count, mean, square / np.float32(max(count, 1))
+
+
+@_fast
 def _plane_cost(  # type: ignore[no-untyped-def]
-    grey, stack, sizes, Ki, A, b, x, y, cx, cy, mask, d, nx, ny, nz, samples, costs
-):
-    """Mean of 1 - NCC over the better half of the neighbours of a plane at pixel (x, y)."""
+    stack, sizes, Ki, A, b, x, y, d, nx, ny, nz, count, mean, variance, du, dv, value, us, vs,
+    costs, most,
+):  # fmt: skip
+    """Mean of 1 - NCC over the better half of the neighbours of a plane at pixel (x, y).
+
+    It is 2 as soon as it cannot be below `most`.
+    """
+    if count < 12:
+        return 2.0
     rx = Ki[0, 0] * x + Ki[0, 2]
     ry = Ki[1, 1] * y + Ki[1, 2]
     delta = d * (nx * rx + ny * ry + nz)
     if delta > -1e-6:
         return 2.0
     # X = K^-1 p / (n K^-1 p) * delta; m is the row n K^-1.
-    m0 = nx * Ki[0, 0]
-    m1 = ny * Ki[1, 1]
-    m2 = nx * Ki[0, 2] + ny * Ki[1, 2] + nz
     inverse = 1.0 / delta
-    # The window holds grey values of the reference photo: sum, square sum and count.
-    count = 0
-    s0 = 0.0
-    s00 = 0.0
-    h, w = mask.shape
-    for j in range(-5, 6, 2):
-        for i in range(-5, 6, 2):
-            px, py = x + i, y + j
-            ly, lx = py - cy, px - cx
-            if ly < 0 or lx < 0 or ly >= h or lx >= w or mask[ly, lx] == 0:
-                continue
-            g = grey[py, px]
-            samples[count, 0] = px
-            samples[count, 1] = py
-            samples[count, 2] = g
-            s0 += g
-            s00 += g * g
-            count += 1
-    if count < 12:
-        return 2.0
-    mean0 = s0 / count
-    var0 = s00 / count - mean0 * mean0
+    m0 = nx * Ki[0, 0] * inverse
+    m1 = ny * Ki[1, 1] * inverse
+    m2 = (nx * Ki[0, 2] + ny * Ki[1, 2] + nz) * inverse
     good = 0
-    for v in range(stack.shape[0]):
-        h00 = A[v, 0, 0] + b[v, 0] * m0 * inverse
-        h01 = A[v, 0, 1] + b[v, 0] * m1 * inverse
-        h02 = A[v, 0, 2] + b[v, 0] * m2 * inverse
-        h10 = A[v, 1, 0] + b[v, 1] * m0 * inverse
-        h11 = A[v, 1, 1] + b[v, 1] * m1 * inverse
-        h12 = A[v, 1, 2] + b[v, 1] * m2 * inverse
-        h20 = A[v, 2, 0] + b[v, 2] * m0 * inverse
-        h21 = A[v, 2, 1] + b[v, 2] * m1 * inverse
-        h22 = A[v, 2, 2] + b[v, 2] * m2 * inverse
-        s1 = 0.0
-        s11 = 0.0
-        s01 = 0.0
-        inside = True
-        top, right = sizes[v, 0] - 1.001, sizes[v, 1] - 1.001
-        for n in range(count):
-            px, py, g = samples[n, 0], samples[n, 1], samples[n, 2]
-            q = h20 * px + h21 * py + h22
-            if q <= 1e-9:
-                inside = False
-                break
-            q = 1.0 / q
-            sx = (h00 * px + h01 * py + h02) * q
-            sy = (h10 * px + h11 * py + h12) * q
-            if sx < 0 or sy < 0 or sx > right or sy > top:
-                inside = False
-                break
-            ix, iy = int(sx), int(sy)
-            fx, fy = sx - ix, sy - iy
-            o = stack[v, iy, ix] * (1 - fx) + stack[v, iy, ix + 1] * fx
-            p = stack[v, iy + 1, ix] * (1 - fx) + stack[v, iy + 1, ix + 1] * fx
-            value = o + fy * (p - o)
-            s1 += value
-            s11 += value * value
-            s01 += value * g
-        if not inside:
+    views = stack.shape[0]
+    for v in range(views):
+        h00 = A[v, 0, 0] + b[v, 0] * m0
+        h01 = A[v, 0, 1] + b[v, 0] * m1
+        h10 = A[v, 1, 0] + b[v, 1] * m0
+        h11 = A[v, 1, 1] + b[v, 1] * m1
+        h20 = A[v, 2, 0] + b[v, 2] * m0
+        h21 = A[v, 2, 1] + b[v, 2] * m1
+        # The pixel itself; offsets from it are small, so single precision suffices for them.
+        z = h20 * x + h21 * y + A[v, 2, 2] + b[v, 2] * m2
+        if z - 5 * (abs(h20) + abs(h21)) <= 1e-9:
             continue
-        mean1 = s1 / count
-        var1 = s11 / count - mean1 * mean1
+        g20, g21 = np.float32(h20 / z), np.float32(h21 / z)
+        u0 = (h00 * x + h01 * y + A[v, 0, 2] + b[v, 0] * m2) / z
+        v0 = (h10 * x + h11 * y + A[v, 1, 2] + b[v, 1] * m2) / z
+        u, u_x, u_y = np.float32(u0), np.float32(h00 / z), np.float32(h01 / z)
+        w, w_x, w_y = np.float32(v0), np.float32(h10 / z), np.float32(h11 / z)
+        left, right, top, bottom = u, u, w, w
+        for n in range(count):
+            q = np.float32(1) / (np.float32(1) + g20 * du[n] + g21 * dv[n])
+            us[n] = (u + u_x * du[n] + u_y * dv[n]) * q
+            vs[n] = (w + w_x * du[n] + w_y * dv[n]) * q
+            left, right = min(left, us[n]), max(right, us[n])
+            top, bottom = min(top, vs[n]), max(bottom, vs[n])
+        if left < 0 or top < 0 or right > sizes[v, 1] - 1.001 or bottom > sizes[v, 0] - 1.001:
+            continue
+        s1 = np.float32(0)
+        s11 = np.float32(0)
+        s01 = np.float32(0)
+        for n in range(count):
+            ix, iy = np.int32(us[n]), np.int32(vs[n])
+            fx, fy = us[n] - np.float32(ix), vs[n] - np.float32(iy)
+            o = stack[v, iy, ix] + fx * (stack[v, iy, ix + 1] - stack[v, iy, ix])
+            p = stack[v, iy + 1, ix] + fx * (stack[v, iy + 1, ix + 1] - stack[v, iy + 1, ix])
+            other = o + fy * (p - o) - mean
+            s1 += other
+            s11 += other * other
+            s01 += other * value[n]
+        s1 /= np.float32(count)
+        variance1 = s11 / np.float32(count) - s1 * s1
         # One grey value of noise is added: flat windows correlate by chance.
-        c = (s01 / count - mean0 * mean1) / np.sqrt((var0 + 1.0) * (var1 + 1.0))
-        costs[good] = 1 - c
-        good += 1
-    if good == 0:
-        return 2.0
-    # Insertion sort; the better half counts, at least two where there are two.
-    for n in range(1, good):
-        value = costs[n]
-        k = n - 1
-        while k >= 0 and costs[k] > value:
+        c = s01 / np.float32(count) / np.sqrt((variance + 1.0) * (variance1 + 1.0))
+        # Sorted; the better half counts, at least two where there are two.
+        k = good - 1
+        while k >= 0 and costs[k] > 1 - c:
             costs[k + 1] = costs[k]
             k -= 1
-        costs[k + 1] = value
+        costs[k + 1] = 1 - c
+        good += 1
+        left_over = views - v - 1
+        best = max(min(2, good + left_over), (good + left_over + 1) // 2)
+        total = 0.0
+        for n in range(best - left_over):
+            total += costs[n]
+        if total >= most * best:
+            return 2.0
+    if good == 0:
+        return 2.0
     best = max(min(2, good), (good + 1) // 2)
     total = 0.0
     for n in range(best):
@@ -169,31 +188,18 @@ def _plane_cost(  # type: ignore[no-untyped-def]
     return total / best
 
 
-@compiled
-def _keep_better(  # type: ignore[no-untyped-def]
-    grey, stack, sizes, Ki, A, b, x, y, cx, cy, mask, d, n0, n1, n2, samples, costs, depth, normal,
-    cost,
-) -> None:  # fmt: skip
-    """Give a pixel the plane of depth d and normal n if it costs less than its own."""
-    c = _plane_cost(
-        grey, stack, sizes, Ki, A, b, x + cx, y + cy, cx, cy, mask, d, n0, n1, n2, samples, costs
-    )
-    if c < cost[y, x]:
-        cost[y, x] = c
-        depth[y, x] = d
-        normal[y, x, 0] = n0
-        normal[y, x, 1] = n1
-        normal[y, x, 2] = n2
-
-
-@compiled
+@_fast
 def _patch_match(  # type: ignore[no-untyped-def]
     grey, stack, sizes, Ki, A, b, cx, cy, mask, start, hull_normal, depth, normal, cost, contrast,
     deepest, iterations, seed, random_start,
 ) -> None:  # fmt: skip
     np.random.seed(seed)
     h, w = mask.shape
-    samples = np.empty((36, 3), np.float64)
+    du = np.empty(36, np.float32)
+    dv = np.empty(36, np.float32)
+    value = np.empty(36, np.float32)
+    us = np.empty(36, np.float32)
+    vs = np.empty(36, np.float32)
     costs = np.empty(32, np.float64)
     shallow = 0.06 * deepest
     for y in range(h):
@@ -202,24 +208,15 @@ def _patch_match(  # type: ignore[no-untyped-def]
                 depth[y, x] = 0
                 continue
             n = normal[y, x]
+            count, mean, variance = _window(grey, mask, x, y, cx, cy, du, dv, value)
             cost[y, x] = _plane_cost(
-                grey, stack, sizes, Ki, A, b, x + cx, y + cy, cx, cy, mask, depth[y, x],
-                n[0], n[1], n[2], samples, costs,
+                stack, sizes, Ki, A, b, x + cx, y + cy, depth[y, x], n[0], n[1], n[2],
+                count, mean, variance, du, dv, value, us, vs, costs, 2.0,
             )  # fmt: skip
-            s0 = 0.0
-            s00 = 0.0
-            count = 0
-            for j in range(max(0, y - 5), min(h, y + 6), 2):
-                for i in range(max(0, x - 5), min(w, x + 6), 2):
-                    if mask[j, i]:
-                        g = grey[j + cy, i + cx]
-                        s0 += g
-                        s00 += g * g
-                        count += 1
-            if count > 0:
-                contrast[y, x] = np.sqrt(max(0.0, s00 / count - (s0 / count) ** 2))
+            contrast[y, x] = np.sqrt(variance)
     for iteration in range(iterations):
         forward = iteration % 2 == 0
+        step = 1 if forward else -1
         # Random steps shrink from the whole range to a fraction of a pixel.
         for yy in range(h):
             y = yy if forward else h - 1 - yy
@@ -227,63 +224,57 @@ def _patch_match(  # type: ignore[no-untyped-def]
                 x = xx if forward else w - 1 - xx
                 if mask[y, x] == 0:
                     continue
+                count, mean, variance = _window(grey, mask, x, y, cx, cy, du, dv, value)
                 rx = Ki[0, 0] * (x + cx) + Ki[0, 2]
                 ry = Ki[1, 1] * (y + cy) + Ki[1, 2]
                 low = start[y, x] - shallow
                 high = start[y, x] + deepest
-                # Planes of the pixels before this one.
-                for k in range(4):
-                    dx, dy = 0, 0
-                    if k == 0:
-                        dx = -1 if forward else 1
-                    elif k == 1:
-                        dy = -1 if forward else 1
-                    elif k == 2:
-                        dx = -5 if forward else 5
-                    else:
-                        dy = -5 if forward else 5
-                    qx, qy = x + dx, y + dy
-                    if qx < 0 or qy < 0 or qx >= w or qy >= h or mask[qy, qx] == 0:
-                        continue
-                    n0, n1, n2 = normal[qy, qx, 0], normal[qy, qx, 1], normal[qy, qx, 2]
-                    ox = Ki[0, 0] * (qx + cx) + Ki[0, 2]
-                    oy = Ki[1, 1] * (qy + cy) + Ki[1, 2]
-                    bottom = n0 * rx + n1 * ry + n2
-                    if bottom > -0.05:
-                        continue
-                    d = depth[qy, qx] * (n0 * ox + n1 * oy + n2) / bottom
-                    if d < low or d > high:
-                        continue
-                    _keep_better(
-                        grey, stack, sizes, Ki, A, b, x, y, cx, cy, mask, d, n0, n1, n2,
-                        samples, costs, depth, normal, cost,
-                    )  # fmt: skip
                 steps = 4 if random_start else 3
-                for k in range(steps):
-                    if random_start and k == 0 and iteration < 3:
-                        # Anywhere below the hull, near it more often.
-                        d = low + (high - low) * np.random.random() ** 2
-                        spread = 0.4
-                        n0, n1, n2 = (
-                            hull_normal[y, x, 0],
-                            hull_normal[y, x, 1],
-                            hull_normal[y, x, 2],
-                        )
+                for k in range(4 + steps):
+                    if k < 4:
+                        # The plane of a pixel before this one.
+                        far = -step if k < 2 else -5 * step
+                        qx, qy = (x + far, y) if k % 2 == 0 else (x, y + far)
+                        if qx < 0 or qy < 0 or qx >= w or qy >= h or mask[qy, qx] == 0:
+                            continue
+                        n0, n1, n2 = normal[qy, qx, 0], normal[qy, qx, 1], normal[qy, qx, 2]
+                        ox = Ki[0, 0] * (qx + cx) + Ki[0, 2]
+                        oy = Ki[1, 1] * (qy + cy) + Ki[1, 2]
+                        bottom = n0 * rx + n1 * ry + n2
+                        if bottom > -0.05:
+                            continue
+                        d = depth[qy, qx] * (n0 * ox + n1 * oy + n2) / bottom
+                        same = n0 == normal[y, x, 0] and n1 == normal[y, x, 1]
+                        if same and abs(d - depth[y, x]) < 1e-6 * d:
+                            # It took this plane before.
+                            continue
                     else:
-                        scale = 0.25 ** (k + (0 if random_start else 1))
-                        d = depth[y, x] + (np.random.random() * 2 - 1) * 0.3 * deepest * scale
-                        spread = 0.5 * scale + 0.02
-                        n0, n1, n2 = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+                        if random_start and k == 4 and iteration < 3:
+                            # Anywhere below the hull, near it more often.
+                            d = low + (high - low) * np.random.random() ** 2
+                            spread = 0.4
+                            m = hull_normal[y, x]
+                        else:
+                            scale = 0.25 ** (k - 4 + (0 if random_start else 1))
+                            d = depth[y, x] + (np.random.random() * 2 - 1) * 0.3 * deepest * scale
+                            spread = 0.5 * scale + 0.02
+                            m = normal[y, x]
+                        n0 = m[0] + np.random.normal() * spread
+                        n1 = m[1] + np.random.normal() * spread
+                        n2 = m[2] + np.random.normal() * spread
+                        size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
+                        n0, n1, n2 = n0 / size, n1 / size, n2 / size
+                        if n0 * rx + n1 * ry + n2 > -0.1:
+                            continue
                     if d < low or d > high:
                         continue
-                    n0 += np.random.normal() * spread
-                    n1 += np.random.normal() * spread
-                    n2 += np.random.normal() * spread
-                    size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
-                    n0, n1, n2 = n0 / size, n1 / size, n2 / size
-                    if n0 * rx + n1 * ry + n2 > -0.1:
-                        continue
-                    _keep_better(
-                        grey, stack, sizes, Ki, A, b, x, y, cx, cy, mask, d, n0, n1, n2,
-                        samples, costs, depth, normal, cost,
+                    c = _plane_cost(
+                        stack, sizes, Ki, A, b, x + cx, y + cy, d, n0, n1, n2,
+                        count, mean, variance, du, dv, value, us, vs, costs, cost[y, x],
                     )  # fmt: skip
+                    if c < cost[y, x]:
+                        cost[y, x] = c
+                        depth[y, x] = d
+                        normal[y, x, 0] = n0
+                        normal[y, x, 1] = n1
+                        normal[y, x, 2] = n2

@@ -58,6 +58,7 @@ def test_a_run_that_is_killed_resumes_and_loses_nothing(words: list[str], tmp_pa
     first.kill()
     first.communicate()
     assert states(out) == [("large", "done"), ("small", "waiting")]
+    assert (out / "preview.ply").is_file()
     model = {p: (p.stat().st_mtime_ns, digest_file(p)) for p in (out / "large").iterdir()
              if p.is_file()}  # fmt: skip
     assert {p.name for p in model} >= {"large.obj", "large.glb", "report.html", "scan.json"}
@@ -69,6 +70,8 @@ def test_a_run_that_is_killed_resumes_and_loses_nothing(words: list[str], tmp_pa
     assert {p: (p.stat().st_mtime_ns, digest_file(p)) for p in model} == model
     assert (out / "small/small.obj").is_file()
     assert "small/report.html" in (out / "report.html").read_text()
+    # A first look is of no use beside the models.
+    assert not (out / "preview.ply").exists()
 
 
 def test_a_second_run_into_the_same_folder_is_refused(words: list[str], tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ pytest.importorskip("manifold3d")
 from std_toolkit.cli.scanning import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import read_document
+from std_toolkit.io.images import read_color
 from std_toolkit.jobs import JobOptions
 from std_toolkit.poses.board_sheet import write_board_pdf
 from std_toolkit.scanning import library, scan_step
@@ -57,6 +59,23 @@ def test_two_boxes_are_told_apart_and_each_pick_chooses_its_own() -> None:
         assert shown.mask.mean() < 0.15
     with pytest.raises(ToolkitError, match="2 objects stand on the board"):
         choose_candidate(found, views)
+
+
+@pytest.mark.slow
+def test_what_stands_out_and_is_left_out_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Photos show the table through the smaller box, as through a cap of the colour of tags."""
+    small = float(np.prod(BOXES[1][1] - BOXES[1][0]))
+    monkeypatch.setattr(standing, "_hides", lambda c, *_: c.volume > 2 * small)
+    things = Things(posed_boxes(tmp_path), 1)
+    (left_out,) = things.standing.left_out
+    assert np.allclose((left_out.low + left_out.high)[:2] / 2, [0.07, 0.0], atol=0.01)
+    with caplog.at_level(logging.WARNING, "std_toolkit"):
+        things.draw(tmp_path / "candidates.jpg")
+    assert "stand out and are not scanned: 1. Photos show the table" in caplog.text
+    # One picture of each.
+    assert read_color(tmp_path / "candidates.jpg").shape[1] == 2 * 480
 
 
 @pytest.mark.slow
