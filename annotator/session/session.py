@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Literal
 from annotator.session import journal, ledger, merge, recovery, saving, state
 from annotator.session.editing import Change, Editing, Recorder
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.scene import Scene
 
 if TYPE_CHECKING:

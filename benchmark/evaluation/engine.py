@@ -20,7 +20,8 @@ from benchmark.evaluation.renewal import renew
 from benchmark.evaluation.results import good_frames, join_parts, report_failures
 from benchmark.evaluation.task_run import TaskRun
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import sweep_temporaries
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.artefact import begin, check_begun
 

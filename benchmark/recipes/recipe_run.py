@@ -17,8 +17,8 @@ from benchmark.evaluation.tasks.pose import PoseRun
 from benchmark.evaluation.tasks.pose_results import PoseResult
 from benchmark.recipes.recipe_plan import Entry, Pack, RecipePlan
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import hold_lock
 from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.jobs import JobOptions
 from std_toolkit.log import logger
 

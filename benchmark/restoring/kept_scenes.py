@@ -12,8 +12,8 @@ from typing import Any
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.import_step import import_recording
 from std_toolkit.importers.options import ImageOptions, ImportRequest
-from std_toolkit.io.atomic import hold_lock
 from std_toolkit.io.documents import digest_file, digest_files, digest_of, write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.jobs.artefact import Artefact, Record
 from std_toolkit.scene.document import safe_name
 

@@ -39,8 +39,9 @@ from benchmark.restoring.recordings import (
 )
 from benchmark.restoring.restorer import RestoredFrame, Restorer
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import atomic_path, sweep_temporaries
 from std_toolkit.io.images import read_depth
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.jobs import run_jobs
 from std_toolkit.jobs.artefact import begin, check_begun
 from std_toolkit.log import logger

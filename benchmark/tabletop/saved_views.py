@@ -15,8 +15,8 @@ from benchmark.data.predictions import read_prediction
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
 from std_toolkit.io import exr, images
-from std_toolkit.io.atomic import hold_lock
 from std_toolkit.io.documents import write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.scene.model import (
     CameraModel,
     CameraPoses,

@@ -12,8 +12,9 @@ from benchmark.methods.weights import save_weights
 from benchmark.training import catalogue, options, packed_frames, run_files, run_note
 from benchmark.training.config import CONFIG, TrainConfig, begin, seed_of
 from std_toolkit.errors import ToolkitError, is_interrupt
-from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.io.documents import digest_file, write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.jobs.artefact import check_begun
 from std_toolkit.log import logger
 

@@ -12,8 +12,9 @@ from benchmark.data.splits import names_digest, open_split
 from benchmark.training import shards
 from benchmark.training.options import PackOptions
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import atomic_path, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.artefact import begin, check_begun
 from std_toolkit.jobs.outcome import error_of

@@ -202,7 +202,7 @@ def _list(options: RecordCommand) -> None:
 
 def _recover(root: Path) -> None:
     from sensors.record.frame_table import recovered
-    from std_toolkit.io.atomic import scene_lock
+    from std_toolkit.io.locks import scene_lock
     from std_toolkit.scene.scene import Scene
 
     before = len(Scene.open(root).frames)

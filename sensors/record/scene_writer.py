@@ -14,7 +14,8 @@ import numpy as np
 from sensors.record import frame_files, frame_table, recording_document
 from sensors.record.options import WriterOptions
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import check_vacant, new_folder, scene_lock
+from std_toolkit.io.atomic import check_vacant, new_folder
+from std_toolkit.io.locks import scene_lock
 from std_toolkit.scene import Frames, Scene, SceneInfo
 
 _CHECK_DISK_EVERY = 15

@@ -18,8 +18,9 @@ from typing import Any, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import check_vacant, hold_lock, refuse_links
+from std_toolkit.io.atomic import check_vacant, refuse_links
 from std_toolkit.io.documents import digest_file, read_document, write_document
+from std_toolkit.io.locks import hold_lock
 
 FOLDER = ".std"
 WRITTEN = "written.json"

@@ -15,8 +15,9 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.scene.document import Count, Document, check_name, check_unique, safe_name
 from std_toolkit.scene.review import Person
 from std_toolkit.scene.scene import Scene

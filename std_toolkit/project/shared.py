@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.frame_files import place_file
-from std_toolkit.io.atomic import lock_holder, new_folder, write_bytes_atomic
+from std_toolkit.io.atomic import new_folder, write_bytes_atomic
 from std_toolkit.io.documents import digest_file, read_document, write_document
+from std_toolkit.io.locks import lock_holder
 from std_toolkit.jobs.artefact import record_path
 from std_toolkit.labels.entry.label import copy_model
 from std_toolkit.project.record import Project, ProjectScene

@@ -19,8 +19,9 @@ import msgspec
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Cell, Column, Row, Table
-from std_toolkit.io.atomic import lock_holder, write_bytes_atomic
+from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import digest_of
+from std_toolkit.io.locks import lock_holder
 from std_toolkit.project.board import SceneState, scene_state
 from std_toolkit.project.record import Project, ProjectScene
 from std_toolkit.scene.judgement import GRADES, Grade

@@ -146,6 +146,7 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
     together = trimesh.util.concatenate(
         [trimesh.Trimesh(vertices, faces, process=False) for vertices, faces in meshes]
     )
+    assert isinstance(together, trimesh.Trimesh)
     trimesh.smoothing.filter_taubin(together, iterations=_SMOOTHED)
     return np.asarray(together.vertices), np.asarray(together.faces, np.int64)
 
@@ -167,4 +168,6 @@ def _ply(vertices: Array, faces: NDArray[np.int64], colors: NDArray[np.uint8]) -
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False)
-    return bytes(mesh.export(file_type="ply"))
+    written = mesh.export(file_type="ply")
+    assert isinstance(written, bytes)
+    return written

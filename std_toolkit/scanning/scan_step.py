@@ -235,8 +235,8 @@ def _joined(
             lap(f"{stage} of the flipped" if name else stage)
 
         # The first position is enough for a look.
-        first = partial(write_preview, part) if not name else _no_preview
-        posed = _posed(part, found, folder, told, first)
+        preview = _no_preview if name else partial(write_preview, part)
+        posed = _posed(part, found, folder, told, preview)
         views = object_masks(part, posed, folder, threads, folder=label)
         told("masks")
         side = measure_side(part, posed, views, engine, folder, threads, told)

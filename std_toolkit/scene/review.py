@@ -16,8 +16,8 @@ from typing import Annotated, Literal
 import msgspec
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import hold_lock
 from std_toolkit.io.documents import digest_of, read_document, write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.scene.document import Document
 from std_toolkit.scene.pose_model import Time
 from std_toolkit.scene.scene import Scene

@@ -16,7 +16,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.camera import Camera
 from std_toolkit.geometry.depth_maps import check_depth_unit
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io import atomic, documents, images
+from std_toolkit.io import documents, images, locks
 from std_toolkit.io.documents import digest_file
 from std_toolkit.scene import frame_names
 from std_toolkit.scene.model import (
@@ -234,7 +234,7 @@ class Scene:
     @contextmanager
     def lock(self) -> Iterator[None]:
         """Lock the scene for writing and reread its documents; see `scene_lock`."""
-        with atomic.scene_lock(self.root):
+        with locks.scene_lock(self.root):
             # Another process may have written between `open` and the lock.
             self.reread()
             yield

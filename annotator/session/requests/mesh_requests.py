@@ -16,7 +16,7 @@ from annotator.session.edits import AnyEdit, EnterModel
 from annotator.session.state import Snapshot
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.symmetry import symmetry_words
-from std_toolkit.io.atomic import scene_lock
+from std_toolkit.io.locks import scene_lock
 from std_toolkit.labels.entry.label import copy_model
 from std_toolkit.scene import ObjectTable, Scene
 from std_toolkit.scene.document import Document, safe_name

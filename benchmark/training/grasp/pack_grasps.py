@@ -22,8 +22,9 @@ from benchmark.training.grasp.grasp_labels import ObjectLabels, kept_labels, sce
 from benchmark.training.options import GraspPackOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3
-from std_toolkit.io.atomic import atomic_path, hold_lock, sweep_temporaries
+from std_toolkit.io.atomic import atomic_path, sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.jobs.artefact import begin, check_begun
 

@@ -273,7 +273,7 @@ def _not_carved(
     """
     clear, different = (np.zeros(grid.shape, np.int16) for _ in range(2))
     origin = np.asarray(grid.origin)
-    middle = grid.points(np.array(grid.shape)[None] / 2)
+    middle = grid.points(np.array(grid.shape)[None] // 2)
     for view, c in zip(views, compared, strict=True):
         # The coarse voxel covers several pixels: all of them must be clear.
         away = max(0.02, float((view.P[2, :3] @ middle[0]) + view.P[2, 3]))

@@ -15,8 +15,8 @@ from two_annotators import TRUE_POSES, turned_about_centre, write_annotator
 
 from annotator.cli import main
 from std_toolkit.geometry import SE3
-from std_toolkit.io.atomic import scene_lock
 from std_toolkit.io.images import read_color
+from std_toolkit.io.locks import scene_lock
 from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.scene import Scene
 from std_toolkit.scene.judgement import Judgement

@@ -25,7 +25,7 @@ from annotator.session import Move, Session
 from annotator.session.journal import history_folder, journal_path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
-from std_toolkit.io.atomic import scene_lock
+from std_toolkit.io.locks import scene_lock
 from std_toolkit.labels.entry.label import set_pose as set_label
 from std_toolkit.scene import Scene
 

@@ -19,7 +19,7 @@ from annotator.session import (
 )
 from annotator.session.merge import differ
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import scene_lock
+from std_toolkit.io.locks import scene_lock
 from std_toolkit.scene import Labels, Scene
 
 

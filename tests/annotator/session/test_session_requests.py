@@ -15,7 +15,7 @@ from annotator.session.requests import ImportMesh, SnapToTable, SolvePnP
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.geometry.se3 import rotation_angle
-from std_toolkit.io.atomic import scene_lock
+from std_toolkit.io.locks import scene_lock
 from std_toolkit.labels.entry.label import add_model
 from std_toolkit.scene import Scene, SceneInfo
 from std_toolkit.scene.model import CameraModel

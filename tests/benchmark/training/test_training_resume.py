@@ -241,7 +241,7 @@ def test_gradients_that_are_not_numbers_stop_too(pack, tmp_path, monkeypatch):
 
 
 def test_one_training_per_folder(pack, tmp_path):
-    from std_toolkit.io.atomic import hold_lock
+    from std_toolkit.io.locks import hold_lock
 
     (tmp_path / "run").mkdir()
     with (

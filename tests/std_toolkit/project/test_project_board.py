@@ -13,7 +13,7 @@ import pytest
 
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import hold_lock
+from std_toolkit.io.locks import hold_lock
 from std_toolkit.project.queue import due_for, review_scene
 from std_toolkit.project.record import Project, Rules, create_project, extend_project
 from std_toolkit.project.shared import make_second, read_library, share_meshes

@@ -12,13 +12,13 @@ import msgspec
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.atomic import scene_lock
+from std_toolkit.io.locks import scene_lock
 from std_toolkit.scene import CameraModel, Frames, Scene, SceneInfo
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from std_toolkit.io.atomic import scene_lock
+from std_toolkit.io.locks import scene_lock
 with scene_lock(Path(sys.argv[1])):
     print("locked", flush=True)
     time.sleep(60)
