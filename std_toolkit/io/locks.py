@@ -9,6 +9,7 @@ import fcntl
 import getpass
 import os
 import socket
+import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,8 @@ from pathlib import Path
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import refuse_links
 from std_toolkit.log import logger
+
+_MOMENT_S = 0.02
 
 
 @contextmanager
@@ -72,7 +75,7 @@ def hold_lock(
         raise ToolkitError(f"cannot write to the {what}: {error.strerror}", path=root) from error
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(descriptor)
         except BlockingIOError as error:
             owner = os.pread(descriptor, 200, 0).decode(errors="replace").strip()
             owner = owner or "unknown owner"
@@ -98,6 +101,15 @@ def hold_lock(
         os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)
+
+
+def _lock(descriptor: int) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        # `lock_holder` of another process holds it for a moment.
+        time.sleep(_MOMENT_S)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def lock_holder(root: Path, name: str) -> str:

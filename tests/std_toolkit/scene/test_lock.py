@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import msgspec
 import pytest
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.locks import scene_lock
+from std_toolkit.io.locks import lock_holder, scene_lock
 from std_toolkit.scene import CameraModel, Frames, Scene, SceneInfo
 
 HOLDER = """
@@ -112,3 +114,14 @@ def test_a_writer_works_on_what_the_last_one_left(tmp_path: Path) -> None:
         one.save_info(msgspec.structs.replace(info, source="one"))
     with other.lock():
         assert other.info.source == "one"
+
+
+def test_whoever_asks_who_writes_keeps_nobody_from_writing(tmp_path: Path) -> None:
+    """It holds the lock for a moment, in another process."""
+    (tmp_path / ".std").mkdir()
+    with (tmp_path / ".std" / "lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_SH)
+        threading.Timer(0.005, lambda: fcntl.flock(file, fcntl.LOCK_UN)).start()
+        with scene_lock(tmp_path):
+            assert lock_holder(tmp_path, "lock") != ""
+    assert lock_holder(tmp_path, "lock") == ""
