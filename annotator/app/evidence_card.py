@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
     from std_toolkit.scene.judgement import Evidence
 
-# A motion counts as larger than a limit from so many standard deviations on.
-_DEVIATIONS = 2.0
-
 
 @dataclass(frozen=True)
 class EvidenceRow:
@@ -234,7 +231,8 @@ def _motion_grade(c: Controller, evidence: Evidence) -> Grade:
             continue
         along = np.asarray(motion, dtype=np.float64) / value
         std = float(np.sqrt(max(float(along @ C[part, part] @ along), 0.0)))
-        grades.append("wrong" if value > limit + _DEVIATIONS * std else "doubtful")
+        far = VerdictSettings.current().motion_deviations * std
+        grades.append("wrong" if value > limit + far else "doubtful")
     return _worst(grades)
 
 

@@ -34,6 +34,8 @@ class VerdictSettings(Settings):
     """the same for the depth of a diffuse object"""
     chance_share: float = limit(0.6, source=NOT_RECORDED)
     """an edge distance is informative below this part of the distance by chance"""
+    motion_deviations: float = limit(2.0, unit="deviations", source="chance of one in twenty")
+    """a motion that exceeds a limit of the judge by more is wrong, by less doubtful"""
 
 
 @dataclass(frozen=True)

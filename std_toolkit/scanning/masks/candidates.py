@@ -25,8 +25,6 @@ _TALLEST = 2.0
 _INNER, _OUTER = 0.7, 1.15
 # Rim of a coarse hull that may not be the object, as a share of the depth where it is deepest.
 _RIM = 0.3
-# Photos that a voxel must hide the table from, as a share of those that the surest do.
-_AGREED = 0.5
 # Pixels around a box that are compared with the table: an island there joins the table beside it.
 _AROUND_PX = 24
 
@@ -41,6 +39,8 @@ class CandidateSettings(Settings):
     """candidates smaller than this share of the largest are not offered"""
     hides: float = limit(0.2, source=NOT_RECORDED)
     """share of the photos in which an object hides the table"""
+    agreed: float = limit(0.5, source=NOT_RECORDED)
+    """a voxel hides it in this share of the photos that the surest of its object do"""
     above_m: float = limit(0.004, unit="m", source=NOT_RECORDED)
     """height above the table from which a voxel or a point counts as part of an object"""
 
@@ -329,7 +329,9 @@ def split_hull(hull: CoarseHull, photos: int) -> tuple[list[Candidate], NDArray[
         vertices, faces = surface_of(field, local)
         surfaces = _outer(labels == n, possible, grid), _inner(part, local)
         hides = different[place]
-        agreed = part & (hides >= _AGREED * np.percentile(hides[part], 90))
+        agreed = part & (
+            hides >= CandidateSettings.current().agreed * np.percentile(hides[part], 90)
+        )
         agreed = ndimage.binary_fill_holes(largest_component(agreed))
         found.append((n, Candidate(
             vertices.min(axis=0), vertices.max(axis=0), volume, vertices, faces, surfaces,
