@@ -107,7 +107,9 @@ def _pixels(
         return Reading(value, excuse="its motion counts instead", verdict="fits")
     limits = ContourSettings.current()
     reflected = limits.reflected.get(item.material, 0.0)
-    if item.text("support") in ("loose", "faint") and value <= reflected * limit_px:
+    pose = measured.weighed.get(item.object)
+    open_ = item.text("support") in ("loose", "faint") or (pose and pose.verdict == "unknown")
+    if open_ and value <= reflected * limit_px:
         return Reading(value, excuse="reflections give edges beside it, too", verdict="unknown")
     return Reading(value)
 

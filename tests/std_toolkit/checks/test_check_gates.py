@@ -341,3 +341,25 @@ def test_glass_is_exempt_from_evidence_and_unknown() -> None:
     assert (found.value, found.verdict) == (1.0, "unknown")
     assert "glass" in found.exempt
     assert gates(glass)["evidence"].value == 0
+
+
+@pytest.mark.parametrize(
+    ("material", "shift_px", "word"),
+    [("specular", 3.8, "unknown"), ("specular", 13.0, "wrong"), ("diffuse", 3.8, "wrong")],
+)
+def test_pixels_accuse_no_steel_whose_pose_is_not_determined(
+    material: str, shift_px: float, word: str
+) -> None:
+    """The numbers are those of an exact label of a thermos flask of steel."""
+    covariance = np.diag([6.0**2] * 3 + [2.5**2] * 3).ravel().tolist()
+    motion = Value(
+        key="motion_mm",
+        value=5.7,
+        source="contour",
+        motion=[5, 0, 3, 0, 0, 1],
+        covariance=covariance,
+    )
+    item = mug(material=material, shift_px=shift_px, size_m=0.2, depth_mm=None, drift_px=None)
+    item = item.with_values([motion])
+    assert finding(item, "shift").verdict == word
+    assert verdict(item) == word
