@@ -7,7 +7,6 @@ run is interrupted. Their files are then joined: hard links where the file syste
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 import shutil
@@ -31,6 +30,7 @@ from std_toolkit.io.documents import (
     read_document,
     write_document,
 )
+from std_toolkit.io.foreign_files import read_json
 from std_toolkit.jobs import JobOptions
 from std_toolkit.jobs.artefact import changed_files
 from std_toolkit.log import logger
@@ -333,7 +333,7 @@ _BOP_JOINED = (
 
 
 def _add(joined: dict[str, Any], name: str, part: _Part) -> None:
-    value = json.loads((part.root / name).read_bytes())
+    value = read_json(part.root / name)
     if name.startswith("test_targets"):
         if part.row.split != "train":
             name = name.replace("test", part.row.split, 1)

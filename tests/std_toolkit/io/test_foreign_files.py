@@ -240,7 +240,7 @@ OWN = {
     *("benchmark/methods/pose/priors/prior_file.py", "sensors/assets/asset_source.py"),
     *("sensors/physics/coacd_process.py", "sensors/physics/convex.py"),
     *("sensors/record/frame_table.py", "sensors/simulation/turntable.py"),
-    "benchmark/methods/known/released.py",
+    *("benchmark/methods/known/released.py", "std_toolkit/project/status.py"),
 }
 RAW = {
     "json.loads", "json.load", "tomllib.loads", "tomllib.load", "msgspec.json.decode",
