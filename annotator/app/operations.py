@@ -159,8 +159,10 @@ def _measure(
             controller.unmeasured.discard(obj.name)
         if measured:
             controller.emit(Event("residuals", objects=tuple(o.name for o in measured)))
-        # Objects that moved or were removed meanwhile are not ranked.
-        unranked = [o.name for o in measured if o.name not in controller.ranks]
+        # Objects that moved or were removed meanwhile are not ranked. Ranks that were asked for
+        # before and are not known yet are asked for again: these take their place.
+        known = [o for o in now if o in controller.residuals and o not in controller.ranks]
+        unranked = sorted(known, key=lambda name: name != controller.selected)
         pose_checks.rank_objects_aside(controller, unranked)
         then(controller)
 

@@ -12,7 +12,7 @@ import pytest
 from desk_without_window import Desk
 from scene_on_disk import camera_pose, camera_poses, write_scene
 
-from annotator.app import pose_checks
+from annotator.app import operations, pose_checks
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.object_summary import summarize
 from annotator.session import AddObject, Move, PoseChange, RemoveObject, SetPoses
@@ -203,3 +203,22 @@ def test_what_a_drag_held_up_is_measured_afterwards(desk: Desk, upkeep: Backgrou
     c.drag_to("box_1", 0, pose)  # cancels what that edit has asked for
     c.end_drag()
     desk.wait(lambda: set(c.residuals) == {"box_1", "box_2"})
+
+
+@pytest.mark.slow
+def test_ranks_that_are_not_known_yet_are_asked_for_again(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of the others are asked for while the selected object is ranked, and take its place."""
+    asked: list[list[str]] = []
+    monkeypatch.setattr(pose_checks, "rank_objects_aside", lambda _, names: asked.append(names))
+    c = desk.controller
+    pose = c.pose("box_1", 0)
+    assert pose is not None
+    c.apply(AddObject(object="a_box", model="box"))
+    beside = SE3(pose.R, pose.t + np.array([0.08, 0.0, 0.0]))
+    c.apply(SetPoses.one("a_box", 0, beside, method="typed"))
+    c.select("box_1")
+    operations.measure_residuals(c)
+    desk.wait(lambda: len(asked) == 2)
+    assert asked == [["box_1"], ["box_1", "a_box"]]
