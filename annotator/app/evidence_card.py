@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from annotator.app.controller import Controller
+from annotator.app.object_summary import penetration
 from annotator.app.verdicts import (
     Grade,
     VerdictSettings,
@@ -18,7 +19,9 @@ from annotator.app.verdicts import (
     grade_row,
     graded,
     object_verdict,
+    sentence,
 )
+from std_toolkit.scene.judgement import GRADES
 
 if TYPE_CHECKING:
     from annotator.session.residuals import FrameResidual
@@ -74,8 +77,7 @@ def evidence_card(c: Controller) -> EvidenceCard | None:
     judged = c.findings.judgements.get(name)
     reason = verdict.text
     if judged is not None and not verdict.turned:
-        said = judged.judgement.reason
-        reason = f"{said[:1].upper()}{said[1:]}."
+        reason = sentence(judged.judgement.reason)
     return EvidenceCard(name, verdict.grade, reason, tuple(_rows(c, name)))
 
 
@@ -109,15 +111,14 @@ def _contour(
     if not parts:
         said = "not measured yet" if not residuals else "nothing above chance"
         return EvidenceRow("contour", said, "unknown", "Check the contour by eye in every view.")
-    return _with_refine("contour", ", ".join(parts), _worst(grades))
+    return _with_refine("contour", ", ".join(parts), max(grades, key=GRADES.index))
 
 
 def _nearby(c: Controller, name: str) -> Iterator[EvidenceRow]:
     rank = c.ranks.get(name)
     if rank is None:
         return
-    tip = rank.sentence()
-    tip = f"{tip[:1].upper()}{tip[1:]}."
+    tip = sentence(rank.sentence())
     if not rank.frames or not rank.nearby:
         yield EvidenceRow("nearby poses", "not ranked", "unknown", tip)
         return
@@ -135,9 +136,8 @@ def _texture(c: Controller, name: str) -> Iterator[EvidenceRow]:
     found = c.textures.get(name)
     if found is None:
         return
-    sentence = found.sentence()
-    tip = f"{sentence[:1].upper()}{sentence[1:]}."
-    if not found.textured and not found.by_contour:
+    tip = sentence(found.sentence())
+    if not found.compared:
         if found.verdict == "ambiguous":
             yield EvidenceRow("texture", "none: turns look the same", "unknown", tip)
         return
@@ -173,15 +173,11 @@ def _depth(
 
 
 def _table(c: Controller, name: str, evidence: Evidence | None) -> Iterator[EvidenceRow]:
-    for found in c.penetrations_in(c.frame):
-        if name in (found.first, found.second):
-            other = found.second if name == found.first else found.first
-            text = f"{1000 * found.depth_m:.1f} mm into "
-            text += "the table" if other == "table" else other
-            action = ("drop", "Drop it") if other == "table" else ("", "")
-            yield EvidenceRow("table", text, "doubtful", "Red in the views.", *action)
-            return
-    if evidence is not None and evidence.motion_mm is not None:
+    alarm, into_table = penetration(c, name)
+    if alarm:
+        action = ("drop", "Drop it") if into_table else ("", "")
+        yield EvidenceRow("table", alarm, "doubtful", "Red in the views.", *action)
+    elif evidence is not None and evidence.motion_mm is not None:
         grade = _motion_grade(c, evidence)
         action = ("", "") if grade == "fits" else ("drop", "Drop it")
         tip = f"It should stand {evidence.text}." if evidence.text else ""
@@ -233,13 +229,8 @@ def _motion_grade(c: Controller, evidence: Evidence) -> Grade:
         std = float(np.sqrt(max(float(along @ C[part, part] @ along), 0.0)))
         far = VerdictSettings.current().motion_deviations * std
         grades.append("wrong" if value > limit + far else "doubtful")
-    return _worst(grades)
+    return max(grades, key=GRADES.index)
 
 
 def _size(vector: Sequence[float] | None) -> float:
     return 0.0 if vector is None else float(np.linalg.norm(vector))
-
-
-def _worst(grades: Sequence[Grade]) -> Grade:
-    order: list[Grade] = ["wrong", "doubtful", "unknown", "fits"]
-    return min(grades, key=order.index)

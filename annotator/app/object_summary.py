@@ -107,7 +107,7 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
         parts.append("Drag it onto the image.")
     if obj.note:
         parts.append(f"Note: {obj.note}")
-    alarm = _alarm(c, obj.name)
+    alarm, _ = penetration(c, obj.name)
     if alarm:
         parts.append(f"It runs {alarm}: red in the views.")
     parts.append(sentence)
@@ -128,14 +128,15 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
     )
 
 
-def _alarm(c: Controller, name: str) -> str:
-    """Return the deepest penetration of an object as text."""
+def penetration(c: Controller, name: str) -> tuple[str, bool]:
+    """Return the deepest penetration of an object as text, and whether it is into the table."""
     for found in c.penetrations_in(c.frame):
         if name in (found.first, found.second):
             other = found.second if name == found.first else found.first
-            other = "the table" if other == "table" else other
-            return f"{1000 * found.depth_m:.1f} mm into {other}"
-    return ""
+            table = other == "table"
+            into = "the table" if table else other
+            return f"{1000 * found.depth_m:.1f} mm into {into}", table
+    return "", False
 
 
 def _residual(rows: Sequence[FrameResidual]) -> tuple[str, Grade, str]:

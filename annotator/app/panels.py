@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from annotator.app.controller import Controller
-from annotator.app.verdicts import Grade, depth_grade, edge_grade
+from annotator.app.verdicts import Grade, depth_grade, edge_grade, sentence
 from std_toolkit.settings import Settings, limit
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def weak_direction(c: Controller) -> str:
             T = c.pose(c.selected, int(plane.frame.split()[-1]))
         if T is not None:
             weak = weak_direction_upright(weak, T.R.T @ plane.normal)
-    return f"{weak[:1].upper()}{weak[1:]}." if weak else ""
+    return sentence(weak) if weak else ""
 
 
 @dataclass(frozen=True)

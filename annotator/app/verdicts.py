@@ -110,10 +110,9 @@ def measured_verdict(
         return Verdict("wrong", text, turned=True)
     grade: Grade = "unknown" if judgement is None else judgement.grade
     said = [_HEADS[grade].format(judgement.reason) if judgement is not None else "Not judged yet."]
-    compared = texture is not None and (texture.textured or texture.by_contour)
-    if texture is not None and compared and texture.verdict in ("undecided", "other"):
+    if texture is not None and texture.compared and texture.verdict in ("undecided", "other"):
         seen = texture.sentence()
-        said += [] if seen in said[0] else [_sentence(seen)]
+        said += [] if seen in said[0] else [sentence(seen)]
         said += ["Press Y to turn it there."] if texture.rival_leads and can_turn(texture) else []
     elif texture is not None and texture.verdict == "ambiguous":
         said.append(f"The turn{_axis(texture.text)} is not determined: geometry cannot tell it.")
@@ -122,7 +121,7 @@ def measured_verdict(
         said += [f"Its contour is off in frame {', '.join(off)}: look there."] if off else []
     # That a wrong pose beats its neighbours helps nobody.
     if rank is not None and (grade in ("fits", "unknown") or not rank.good):
-        said.append(_sentence(rank.sentence()))
+        said.append(sentence(rank.sentence()))
     return Verdict(grade, " ".join(said))
 
 
@@ -140,7 +139,8 @@ def can_turn(texture: TextureComparison) -> bool:
     return texture.turn is not None and (texture.verdict == "turned" or leads)
 
 
-def _sentence(text: str) -> str:
+def sentence(text: str) -> str:
+    """Return words as a sentence: with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}."
 
 

@@ -193,7 +193,7 @@ def _run_scene(item: tuple[str, Path, bool], *, command: RunCommand, logs: Path)
         write_bytes_atomic(logs / f"{name}.log", output.getvalue().encode())
     lines = output.getvalue().splitlines()
     checked = any(line == "== check" for line in lines)
-    if status and not checked:  # what the check says is told of the board
+    if status and not checked:  # the board shows what the check says
         raise ToolkitError(lines[-1] if lines else "failed", path=folder)
 
 

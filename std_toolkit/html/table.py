@@ -5,7 +5,7 @@ the text of a cell and never replace it.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
@@ -257,21 +257,26 @@ class Table:
 
 
 def text_table(
-    headings: Sequence[str], rows: Iterable[Sequence[str]], *, texts: int = 2, title: str = ""
+    headings: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    texts: int | Collection[str] = 2,
+    title: str = "",
 ) -> Table:
     """A table of cells given as text.
 
     Args:
         headings: headings of the columns.
         rows: one cell per column.
-        texts: number of leading text columns; the others are numeric.
+        texts: number of leading text columns, or headings of text columns; the others are numeric.
         title: title of the table.
 
     >>> print(text_table(["name", "n"], [["a", "10"]], texts=1).terminal())
     name   n
     a     10
     """
-    columns = [Column(heading=h, numeric=i >= texts) for i, h in enumerate(headings)]
+    left = range(texts) if isinstance(texts, int) else [list(headings).index(h) for h in texts]
+    columns = [Column(heading=h, numeric=i not in left) for i, h in enumerate(headings)]
     made = [Row([Cell(text=text) for text in row]) for row in rows]
     return Table(columns=columns, rows=made, title=title)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.html.table import Table, text_table
 from std_toolkit.labels.agreement.comparison import ObjectAgreement, compare_labels
 from std_toolkit.labels.agreement.options import CompareOptions
 from std_toolkit.project.record import Project
@@ -190,27 +190,12 @@ def agreement_table(found: Agreement) -> Table:
     """Median and 95 % by model, by two people, and of all."""
     words = ("of", "labels", "disagree", "shift mm", "95 %", "turn deg", "95 %", "mssd mm", "95 %")
     spreads = [*found.models, *found.people, *([found.all] if found.all else [])]
-    return Table(
-        columns=[Column(heading=word, numeric=word != "of") for word in words],
-        rows=[
-            Row(
-                [
-                    Cell(text=text)
-                    for text in (
-                        s.of,
-                        str(s.labels),
-                        str(s.disagree),
-                        *(
-                            f"{value:.1f}"
-                            for pair in (s.translation_mm, s.turn_deg, s.mssd_mm)
-                            for value in pair
-                        ),
-                    )
-                ]
-            )
-            for s in spreads
-        ],
-    )
+    cells = []
+    for s in spreads:
+        pairs = (s.translation_mm, s.turn_deg, s.mssd_mm)
+        numbers = [f"{value:.1f}" for pair in pairs for value in pair]
+        cells.append([s.of, str(s.labels), str(s.disagree), *numbers])
+    return text_table(words, cells, texts=1)
 
 
 def agreement_lines(found: Agreement) -> list[str]:

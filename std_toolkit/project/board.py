@@ -9,7 +9,7 @@ from typing import Literal
 
 from std_toolkit.checks.summary import SceneSummary, Step, summarise
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.html.table import Table, text_table
 from std_toolkit.scene.judgement import GRADES, Grade
 from std_toolkit.scene.review import Standing, label_digests, read_reviews, standing
 from std_toolkit.scene.scene import Scene
@@ -171,10 +171,7 @@ def board_table(scenes: Sequence[SceneState]) -> Table:
     """One row per scene: frames, labels, verdicts, people, minutes, check and the next command."""
     words = ("scene", "poses", "labelled", "done", *GRADES, "by", "minutes", "check", "next")
     left = ("scene", "by", "check", "next")
-    return Table(
-        columns=[Column(heading=word, numeric=word not in left) for word in words],
-        rows=[Row([Cell(text=text) for text in _cells(scene)]) for scene in scenes],
-    )
+    return text_table(words, [_cells(scene) for scene in scenes], texts=left)
 
 
 def _cells(scene: SceneState) -> list[str]:

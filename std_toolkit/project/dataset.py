@@ -139,7 +139,7 @@ def export_project(
 
     Args:
         project: the project.
-        rows: its board, read anew.
+        rows: its board, of the files as they are.
         format_name: name of an exporter.
         out: folder of the data set; the same one is kept, an interrupted one is gone on with.
         licence: of the images, labels and meshes, for the card.

@@ -39,7 +39,7 @@ class CreateCommand(ProjectOptions):
     people: tuple[str, ...] = ()
     """names or initials, as in the labels (--annotator)"""
     twice_every: Whole = 10
-    """label every so many scenes twice, blind; 0 for none"""
+    """label every k-th scene twice, blind; 0 for none"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class AddCommand(ProjectOptions):
     people: tuple[str, ...] = ()
     """names or initials"""
     twice_every: Whole | None = None
-    """label every so many scenes twice, blind; 0 for none (default: as it is)"""
+    """label every k-th scene twice, blind; 0 for none (default: as it is)"""
 
 
 @dataclass(frozen=True, kw_only=True)

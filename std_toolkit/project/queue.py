@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Literal
 
 from std_toolkit.errors import ToolkitError, check_known
-from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.html.table import Table, text_table
 from std_toolkit.project.board import SceneState
 from std_toolkit.project.record import Project
 from std_toolkit.project.status import SceneRow, objections, scene_row
@@ -94,13 +94,8 @@ def _left(scene: SceneState) -> str:
 def due_table(found: Sequence[Due]) -> Table:
     """One row per task, the first one first."""
     words = ("next", "scene", "folder", "about", "held by")
-    return Table(
-        columns=[Column(heading=word, numeric=False) for word in words],
-        rows=[
-            Row([Cell(text=x) for x in (d.task, d.scene, d.folder, d.about, d.held_by)])
-            for d in found
-        ],
-    )
+    cells = [(d.task, d.scene, d.folder, d.about, d.held_by) for d in found]
+    return text_table(words, cells, texts=words)
 
 
 def review_scene(

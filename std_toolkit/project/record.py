@@ -47,7 +47,7 @@ class Rules(Document, frozen=True, kw_only=True):
     """What is due in a project, besides what always holds; see data_spec.md.
 
     Attributes:
-        twice_every: every so many scenes one is labelled a second time, blind; 0 for none.
+        twice_every: k: every k-th scene is labelled a second time, blind; 0 for none.
     """
 
     twice_every: Count = 10
@@ -58,7 +58,7 @@ class ProjectRecord(Document, frozen=True, kw_only=True):
 
     Attributes:
         name: of the project.
-        scenes: none is ever moved, because the rule "every so many" counts them.
+        scenes: none is ever moved, because the rule `twice_every` counts them.
         people: names or initials as in the labels (`annotator`).
         library: folder of the shared meshes, relative to the project.
         rules: see `Rules`.

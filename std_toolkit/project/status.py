@@ -8,7 +8,7 @@ decides (`project review`, `run`, `export`) reads the scenes.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ import msgspec
 
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.html.table import Cell, Column, Row, Table
+from std_toolkit.html.table import Table, text_table
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import digest_of
 from std_toolkit.io.locks import lock_holder
@@ -145,14 +145,7 @@ def project_board(project: Project, *, fresh: bool = False) -> list[SceneRow]:
         kept[key] = known
         return known.state
 
-    rows = []
-    for item in project.record.scenes:
-        second = project.second(item)
-        rows.append(
-            _row(project, item, state(project.folder(item)), state(second))
-            if (second / "scene.json").is_file()
-            else _row(project, item, state(project.folder(item)), None)
-        )
+    rows = [_row(project, item, state) for item in project.record.scenes]
     if kept != cache:
         with suppress(ToolkitError):  # a project that is only read
             write_bytes_atomic(project.root / _CACHE, msgspec.json.encode(kept))
@@ -160,18 +153,16 @@ def project_board(project: Project, *, fresh: bool = False) -> list[SceneRow]:
 
 
 def scene_row(project: Project, item: ProjectScene) -> SceneRow:
-    """One scene of the board, read anew."""
-    second = project.second(item)
-    twin = scene_state(second) if (second / "scene.json").is_file() else None
-    return _row(project, item, scene_state(project.folder(item)), twin)
+    """One scene of the board; its files are read."""
+    return _row(project, item, scene_state)
 
 
-def _row(
-    project: Project, item: ProjectScene, scene: SceneState, second: SceneState | None
-) -> SceneRow:
+def _row(project: Project, item: ProjectScene, read: Callable[[Path], SceneState]) -> SceneRow:
+    folder, copy = project.folder(item), project.second(item)
+    scene = read(folder)
+    second = read(copy) if (copy / "scene.json").is_file() else None
     hands = {*scene.labellers, *(second.labellers if second else ())}
     against = objections(scene, scene.reviewer, hands) if scene.accepted else []
-    folder = project.folder(item)
     return SceneRow(
         name=item.name,
         stage=stage_of(scene, against),
@@ -248,10 +239,7 @@ def project_table(rows: Sequence[SceneRow]) -> Table:
     words = ("scene", "state", "labelled", "reviewed", "refused", *GRADES, "by", "again",
              "minutes", "check", "reviewer", "held by")  # fmt: skip
     left = ("scene", "state", "by", "again", "check", "reviewer", "held by")
-    return Table(
-        columns=[Column(heading=word, numeric=word not in left) for word in words],
-        rows=[Row([Cell(text=text) for text in _cells(row)]) for row in rows],
-    )
+    return text_table(words, [_cells(row) for row in rows], texts=left)
 
 
 def _cells(row: SceneRow) -> list[str]:
@@ -288,10 +276,7 @@ def object_table(rows: Sequence[SceneRow]) -> Table:
         for row in rows
         for o in row.scene.objects
     ]  # fmt: skip
-    return Table(
-        columns=[Column(heading=word, numeric=word == "minutes") for word in words],
-        rows=[Row([Cell(text=text) for text in line]) for line in cells],
-    )
+    return text_table(words, cells, texts=[word for word in words if word != "minutes"])
 
 
 def board_lines(rows: Sequence[SceneRow]) -> list[str]:

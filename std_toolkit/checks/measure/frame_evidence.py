@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -115,7 +116,7 @@ class _Suspects:
 
     def evidence(self) -> FrameEvidence:
         """All of it; images are read again only where a frame contradicts the others."""
-        if self._seen_least() or any(o.displaced or o.unfit for o in self.objects.values()):
+        if self._seen_least or any(o.displaced or o.unfit for o in self.objects.values()):
             caster = LabelCaster.of_scene(self.scene)
             self._ask_surroundings(caster)
             for i, found in self.objects.items():
@@ -138,6 +139,7 @@ class _Suspects:
                 off.setdefault(frame, set()).add(i)
         return off
 
+    @cached_property
     def _seen_least(self) -> list[int]:
         """Frames whose camera pose may be wrong though no object says so, the likeliest first.
 
@@ -162,7 +164,7 @@ class _Suspects:
         points = ScenePoints(self.scene, caster)
         answers: dict[int, CameraEvidence] = {}
         asked = _ends_first(runs)[:most]
-        asked += [f for f in self._seen_least() if f not in off]
+        asked += [f for f in self._seen_least if f not in off]
         for frame in asked:
             # Neighbours within a run agree with each other if an object was moved.
             answers[frame] = points.judge(frame, (off.keys() | set(asked)) - self.right)

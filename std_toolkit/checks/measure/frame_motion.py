@@ -244,11 +244,7 @@ class ObjectFrames:
 
     def _climb(self, equations: Sequence[Equations], start: Array) -> tuple[Array, Array]:
         """Motion (7,) and covariance (6, 6) from a start (7,), whose size it keeps."""
-        moved = []
-        for e in (entry.load() for entry in equations):
-            offsets = (e.offsets - (e.jacobian @ start)[:, None]).astype(np.float32)
-            moved.append(replace(e, offsets=offsets))
-        solved = solve_motion(moved, self.free)
+        solved = solve_motion([e.load().after(start) for e in equations], self.free)
         assert solved is not None
         return start + np.append(solved.vector, 0.0), solved.covariance
 

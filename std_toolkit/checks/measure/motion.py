@@ -14,7 +14,7 @@ the centre in radians, both along the axes of the world.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,11 @@ class MotionEquations:
     def load(self) -> MotionEquations:
         """The equations themselves, see `FiledEquations.load`."""
         return self
+
+    def after(self, motion: Array) -> MotionEquations:
+        """The same edges, with offsets from the contour after a motion (6,) or (7,)."""
+        along = (self.jacobian[:, : len(motion)] @ motion)[:, None]
+        return replace(self, offsets=(self.offsets - along).astype(np.float32))
 
     def filed(self, file: ArrayFile) -> FiledEquations:
         """The equations moved into a file.

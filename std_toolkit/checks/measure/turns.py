@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -74,7 +74,6 @@ class TurnByContour:
         text: the turn in words.
         gain: log likelihood by which it exceeds the label; negative: the label fits better.
         telling: ids of the frames in which the two differ most, the best first.
-        frames: number of frames that were compared.
     """
 
     material: str
@@ -82,7 +81,6 @@ class TurnByContour:
     text: str
     gain: float
     telling: tuple[int, ...]
-    frames: int
 
     @property
     def is_better(self) -> bool:
@@ -141,22 +139,10 @@ class TurnComparison:
         if label is None:
             return None
         first = {k: views[k] for k in list(views)[:_FIRST]}
-        looks = [(self._gain(label, first, obj, a), k) for k, a in enumerate(turns)]
-        likely = sorted((g for g in looks if g[0] is not None), reverse=True)[:_KEPT]
-        found = [
-            f for _, k in likely if (f := self._found(label, views, obj, turns[k])) is not None
-        ]
+        looks = [(f.gain, a) for a in turns if (f := self._found(label, first, obj, a)) is not None]
+        likely = [a for _, a in sorted(looks, key=lambda look: -look[0])[:_KEPT]]
+        found = [f for a in likely if (f := self._found(label, views, obj, a)) is not None]
         return max(found, key=lambda f: f.gain, default=None)
-
-    def _gain(
-        self,
-        label: _Measured,
-        views: dict[int, SearchedView],
-        obj: RefineObject,
-        alternative: Alternative,
-    ) -> float | None:
-        found = self._found(label, views, obj, alternative)
-        return None if found is None else found.gain
 
     def _found(
         self,
@@ -168,8 +154,9 @@ class TurnComparison:
         turned = obj.T_world_obj @ alternative.turn
         moved = turned @ obj.T_world_obj.inverse()
         centre = next(iter(views.values())).centre
-        motion = np.concatenate([moved @ centre - centre, so3_log(moved.R)])
-        free = symmetry_motions(obj.symmetry, turned, moved @ centre)
+        there_centre = moved @ centre
+        motion = np.concatenate([there_centre - centre, so3_log(moved.R)])
+        free = symmetry_motions(obj.symmetry, turned, there_centre)
         there = _Measured.of(views, motion, free)
         if there is None:
             return None
@@ -177,7 +164,7 @@ class TurnComparison:
         step = there.motion.vector
         turn = so3_exp(step[3:])
         # The motion is about the centre of the turned object.
-        improved = SE3(turn, moved @ centre + step[:3] - turn @ (moved @ centre)) @ turned
+        improved = SE3(turn, there_centre + step[:3] - turn @ there_centre) @ turned
         order = sorted(gains, key=lambda k: -abs(gains[k]))
         return TurnByContour(
             obj.material,
@@ -185,7 +172,6 @@ class TurnComparison:
             alternative.text,
             float(sum(gains.values())),
             tuple(self._frames[k].id for k in order),
-            len(gains),
         )
 
     def _view(self, k: int, object_id: int, alone: LabelCaster) -> SearchedView | None:
@@ -240,7 +226,8 @@ class _Measured:
 
     @staticmethod
     def of(views: dict[int, SearchedView], motion: Array, free: Array) -> _Measured | None:
-        found = {k: e for k, v in views.items() if (e := _at(v, motion)) is not None}
+        seen = {k: e for k, v in views.items() if (e := v.equations(motion)) is not None}
+        found = {k: e.after(motion) for k, e in seen.items()}
         solved = solve_motion(list(found.values()), free)
         if solved is None:
             return None
@@ -252,12 +239,3 @@ class _Measured:
         if e is None:
             return 0.0
         return e.independent * (e.likelihood(self.motion.vector) - self.chance)
-
-
-def _at(view: SearchedView, motion: Array) -> MotionEquations | None:
-    """The edges near the contour after a motion (6,), their offsets from there."""
-    e = view.equations(motion)
-    if e is None:
-        return None
-    moved = (e.jacobian[:, :6] @ motion)[:, None]
-    return replace(e, offsets=(e.offsets - moved).astype(np.float32))

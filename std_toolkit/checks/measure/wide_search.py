@@ -7,7 +7,7 @@ edges at the best places are measured in full.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -115,10 +115,7 @@ class SearchedView:
             return None
         T = self._moved_camera(motion)
         found = motion_equations(there, profiles, self.camera, T, self.centre)
-        if found is None:
-            return None
-        moved = (found.jacobian[:, :6] @ motion)[:, None]
-        return replace(found, offsets=(found.offsets + moved).astype(np.float32))
+        return None if found is None else found.after(-motion)
 
     def places(self) -> list[Array]:
         """Motions (6,) of the object to the most likely other places in the image, best first."""

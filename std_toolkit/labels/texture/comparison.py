@@ -112,6 +112,11 @@ class TextureComparison:
         return bool(np.isfinite(self.contour_gain))
 
     @property
+    def compared(self) -> bool:
+        """Whether a texture was compared, or the contour gives the verdict."""
+        return self.textured or self.by_contour
+
+    @property
     def margin(self) -> float:
         """Score minus that of the best alternative; NaN if one of them was not measured."""
         return self.score - self.rival_score
