@@ -77,10 +77,11 @@ class JudgeSettings(Settings):
     """deviation of the motion of a misled contour, besides its own"""
     misled_deg: float = limit(1.8, unit="deg", source="the same scenes")
     """the same for its rotation"""
-    misled: float = limit(
-        0.5, source="the same scenes: right labels that seem to be off by 2 to 4 deg"
+    likely: float = limit(
+        0.5, source="setting kinds, steel: right labels that seem to be off by 2 to 4 deg"
     )
-    """a doubtful label whose contour may be misled is unknown from this probability"""
+    """a doubtful label is unknown from this probability if its contour may be misled, its sources
+    contradict each other, or the evidence is blind"""
     depth_prior: float = limit(0.1, source="dark and glossy surfaces, and depth not aligned")
     """share of the objects on which sensor depth errs"""
     depth_mm: float = limit(5.0, unit="mm", source="residuals on such surfaces of real recordings")
@@ -103,14 +104,19 @@ class JudgeSettings(Settings):
     """the same for their rotation"""
     right_prior: float = limit(0.5, source="half of the labels may be wrong")
     """share of the labels that are right; the others are off in place, turn, or both"""
-    blind: float = limit(0.5, source="such a fault would look right rather than wrong")
-    """evidence is blind that leaves a label with a fault of twice a limit more probability"""
+    blind: float = limit(0.2, source="a power of 0.8, as usual for a test")
+    """evidence is blind by which, with more probability, a fault of twice a limit is called *fits*
+    or a label in place is not"""
     noted_odds: float = limit(3.0, source=NOT_RECORDED)
     """an explanation is told where it is more likely than all others by this factor"""
     noted_mm: float = limit(2.0, unit="mm", source=NOT_RECORDED)
     """a difference between contour and texture below this is not told"""
     noted_deg: float = limit(1.0, unit="deg", source=NOT_RECORDED)
     """the same for a rotation"""
+
+
+# Of a motion of some millimetres: to some hundredths.
+_HALVINGS = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +164,7 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     apart_by = differing([(s.name, s.at) for s in sources], best.name)
     # Where a contour that may be misled contradicts the support, neither is believed alone; and
     # sources that contradict each other for no known reason accuse no label that is likely right.
-    likely = verdict == "doubtful" and total >= limits.misled
+    likely = verdict == "doubtful" and total >= limits.likely
     if misled and (likely or (verdict == "fits" and apart_by)):
         verdict, cause = "unknown", "misled"
     elif likely and apart_by and not best.name:
@@ -328,8 +334,8 @@ def _verdict(
 ) -> tuple[Verdict, str]:
     verdict = graded(probability)
     if verdict != "wrong" and _is_blind(at, scatter, options):
-        blind = probability >= JudgeSettings.current().blind
-        return ("unknown", "blind") if blind else ("doubtful", "label")
+        likely = probability >= JudgeSettings.current().likely
+        return ("unknown", "blind") if likely else ("doubtful", "label")
     return verdict, "" if verdict == "fits" else "label"
 
 
@@ -342,18 +348,30 @@ def graded(probability: float) -> Verdict:
 
 
 def _is_blind(at: Located, scatter: Scatter, options: CheckOptions) -> bool:
-    """Whether a fault of twice a limit along the weakest direction would look right."""
+    """Whether the evidence may well mistake labels along its weakest direction.
+
+    A fault of twice a limit may be called *fits*, or a label in place anything else.
+    """
+    from scipy.special import ndtr  # scipy.stats loads for a second
+
     limits = JudgeSettings.current()
     for part, size in ((SHIFT, options.max_motion_mm), (TURN, options.max_motion_deg)):
         block = at.covariance[part, part]
         values, axes = np.linalg.eigh((block + block.T) / 2)
         if values[-1] < 1e-6:
             continue  # the symmetry leaves nothing to know
-        motion = np.zeros(6)
-        motion[part] = 2 * size * axes[:, -1]
-        faulty = Located(motion, at.covariance)
-        weighed = _explanations([_Source("", faulty)], scatter)
-        if _inside(weighed, options)[0] > limits.blind:
+        direction = np.zeros(6)
+        direction[part] = axes[:, -1]
+        fault, low, high = 2 * size, 0.0, 2 * size
+        for _ in range(_HALVINGS):  # the longest motion that is called so if it is measured
+            middle = (low + high) / 2
+            measured = Located(middle * direction, at.covariance)
+            weighed = _explanations([_Source("", measured)], scatter)
+            fits = _inside(weighed, options)[0] >= limits.fits
+            low, high = (middle, high) if fits else (low, middle)
+        deviation = np.sqrt(values[-1])
+        missed, refused = ndtr((low - fault) / deviation), 2 * ndtr(-low / deviation)
+        if max(missed, refused) > limits.blind:
             return True
     return False
 

@@ -24,12 +24,14 @@ def seen(
     surface: Sequence[float] | None = None,
     mm: float = 0.5,
     deg: float = 0.3,
+    upright_deg: float | None = None,
     size_m: float = 0.25,
     material: str = "diffuse",
 ) -> Weighed:
     """The verdict on an object that contour and texture see at these motions, mm and degrees."""
     values = [Value(key="size_m", value=size_m, source="label")]
-    covariance = np.diag([mm**2] * 3 + [deg**2] * 3).ravel().tolist()
+    turns = [deg**2] * 2 + [(upright_deg or deg) ** 2]
+    covariance = np.diag([mm**2] * 3 + turns).ravel().tolist()
     if contour is not None:
         values.append(
             Value(key="motion_mm", source="contour", motion=list(contour), covariance=covariance)
@@ -106,6 +108,24 @@ def test_evidence_that_could_not_see_a_fault_leaves_it_unknown() -> None:
     found = seen(aside(0), mm=3.0)
     assert (found.verdict, found.cause) == ("unknown", "blind")
     assert seen(aside(0), deg=2.0).verdict == "unknown"
+
+
+@pytest.mark.parametrize("turn", [1.0, 1.4, 1.9])
+def test_evidence_that_is_not_blind_rarely_mistakes_a_fault_of_twice_the_limit(turn: float) -> None:
+    """Along the weakest direction, a handle's: simulated measurements of both."""
+    spread = [0.4, 0.4, 0.4, 0.4, 0.4, turn]
+    noise = np.random.default_rng(0).normal(size=(40, 6)) * spread
+
+    def verdicts(deg: float) -> list[str]:
+        places = [(error + aside(0, deg)).tolist() for error in noise]
+        return [seen(at, mm=0.4, deg=0.4, upright_deg=turn).verdict for at in places]
+
+    fault, right = verdicts(2 * OPTIONS.max_motion_deg), verdicts(0)
+    assert fault.count("fits") <= 0.25 * len(noise)
+    if turn < 1.5:
+        assert right.count("fits") >= 0.8 * len(noise)
+    else:  # blind
+        assert "fits" not in fault + right
 
 
 @pytest.mark.parametrize("material", ["specular", "transparent"])
