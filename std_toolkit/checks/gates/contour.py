@@ -108,7 +108,9 @@ def _pixels(
     limits = ContourSettings.current()
     reflected = limits.reflected.get(item.material, 0.0)
     pose = measured.weighed.get(item.object)
-    open_ = item.text("support") in ("loose", "faint") or (pose and pose.verdict == "unknown")
+    open_ = item.text("support") in ("loose", "faint", "aside") or (
+        pose and pose.verdict == "unknown"
+    )
     if open_ and value <= reflected * limit_px:
         return Reading(value, excuse="reflections give edges beside it, too", verdict="unknown")
     return Reading(value)

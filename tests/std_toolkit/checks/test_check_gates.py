@@ -363,3 +363,21 @@ def test_pixels_accuse_no_steel_whose_pose_is_not_determined(
     item = item.with_values([motion])
     assert finding(item, "shift").verdict == word
     assert verdict(item) == word
+
+
+@pytest.mark.parametrize(
+    ("material", "word"),
+    [("specular", "unknown"), ("transparent", "doubtful"), ("diffuse", "unknown")],
+)
+def test_edges_beside_steel_may_be_those_of_its_highlights(material: str, word: str) -> None:
+    """A right label of a steel banana, which reflects the table below."""
+    item = mug(material=material, shift_px=3.0, size_m=0.2, depth_mm=None, drift_px=None)
+    item = item.with_values(
+        [
+            Value(key="confirmed", value=0.0, source="contour", text="no"),
+            Value(key="support", value=0.41, std=0.12, source="contour", text="aside"),
+        ]
+    )
+    assert finding(item, "seen").verdict == word
+    if material == "specular":
+        assert verdict(item) == word

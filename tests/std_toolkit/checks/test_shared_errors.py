@@ -10,10 +10,13 @@ import pytest
 
 from std_toolkit.checks.measure.motion import MotionEquations, pooled_support
 from std_toolkit.checks.measure.motion_solver import Motion, solve_motion
+from std_toolkit.checks.measure.object_motion import moved_item
 from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_error
 from std_toolkit.checks.measure.textures import with_cameras
+from std_toolkit.checks.result import ObjectCheck
 from std_toolkit.geometry import SE3, so3_exp
 from std_toolkit.labels.texture.motion import TextureMotion
+from std_toolkit.options import CheckOptions
 
 CENTRE = np.array([0.1, -0.05, 0.06])
 RADIUS_M, FOCAL_PX = 0.06, 700.0
@@ -146,3 +149,24 @@ def test_errors_of_cameras_widen_the_motion_of_a_texture() -> None:
     frames[0].covariance = None
     less = with_cameras(scene, obj, motion)  # type: ignore[arg-type]
     assert less.covariance[0, 0] < found.covariance[0, 0]
+
+
+@pytest.mark.parametrize(("beside_px", "seen"), [(1.2, "seen"), (1.6, "seen"), (4.0, "aside")])
+def test_a_mesh_of_slightly_another_size_lies_beside_all_edges_and_is_seen(
+    beside_px: float, seen: str
+) -> None:
+    """1.7, 2.3 and 5.7 % of the size of an opaque ball."""
+    item = ObjectCheck(
+        object=1, name="ball", model="ball", category="ball", material="diffuse", label="refined"
+    )
+    found = moved_item(
+        item,
+        views(beside_px),
+        FREE,
+        CheckOptions(),
+        axes=np.eye(3),
+        shared=SharedErrors(),
+        cameras=[],
+    )
+    assert found.text("support") == seen
+    assert found.value("size_error") == pytest.approx(beside_px / 70, rel=0.1)
