@@ -59,6 +59,7 @@ class Row:
 
     Attributes:
         trial: see `Trial`.
+        size_mm: diagonal of the bounding box of the mesh.
         mm, deg: how far the label is off, symmetry aware.
         verdict, probability: of the check; None: nothing says where the object is.
         z: errors of the pose of the check in units of its deviations.
@@ -69,6 +70,7 @@ class Row:
     look: str
     exact: bool
     trial: str
+    size_mm: float
     mm: float
     deg: float
     verdict: str
@@ -126,6 +128,7 @@ def judged(item: ObjectCheck, trial: Trial, right: Scene, **about: object) -> Ro
     return Row(
         object=item.name,
         trial=trial.name,
+        size_mm=round(1000 * (item.value("size_m") or 0.0), 1),
         mm=float(np.linalg.norm(motion[:3])),
         deg=float(np.linalg.norm(motion[3:])),
         verdict=item.verdict,
@@ -201,12 +204,33 @@ def print_tables(rows: Sequence[Row]) -> None:
         z = np.abs([x for r in mine for x in r.z])
         within = f"{100 * (z <= 1).mean():.0f}, {100 * (z <= 2).mean():.0f} %" if len(z) else "-"
         print(line + f"{within:>14}{100 * calibration(mine)[1]:>7.1f}%")
+    print_sizes(rows)
     table, error = calibration(rows)
     print("\nprobability that a label is within the limits, and share that is")
     for count, p, share in table:
         if count:
             print(f"{p:>8.3f}{share:>8.3f}  of {count:.0f}")
     print(f"expected calibration error {100 * error:.1f} %")
+
+
+def print_sizes(rows: Sequence[Row]) -> None:
+    """Faults of printed and bare objects by five sizes: caught, missed, and all."""
+    opaque = [r for r in rows if r.look in ("printed", "bare") and r.trial.startswith("level")]
+    if not opaque:
+        return
+    columns = [(look, f"level {k}") for look in ("printed", "bare") for k in range(3)]
+    print(f"\n{'size, mm':<16}" + "".join(f"{f'{x} {y}':>20}" for x, y in columns))
+    edges = np.quantile([r.size_mm for r in opaque], np.linspace(0, 1, 6))
+    place = np.clip(np.searchsorted(edges, [r.size_mm for r in opaque]), 1, 5)
+    for k in range(1, 6):
+        line = f"{f'{edges[k - 1]:.0f} to {edges[k]:.0f}':<16}"
+        for column in columns:
+            mine = [r for r, p in zip(opaque, place, strict=True) if p == k]
+            said = [r.verdict for r in mine if (r.look, r.trial) == column]
+            caught = sum(v in ("doubtful", "wrong") for v in said)
+            cells = f"{caught}, {said.count('fits')}, {len(said)}"
+            line += f"{cells:>20}"
+        print(line)
 
 
 def _measured(looks: Sequence[str], work: Path, world: World) -> list[Row]:
