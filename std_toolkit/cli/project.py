@@ -214,6 +214,7 @@ def export(command: ExportCommand) -> int:
         licence=command.licence,
         shares=command.split,
         by=command.split_by,
+        shard_images=command.shards,
         options=options.ExportOptions(**vars(command.options)),
         jobs=asked(command.jobs),
     )

@@ -20,11 +20,13 @@ import msgspec
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.exporters.bop_metadata import record_lines
+from std_toolkit.exporters.bop_shards import write_shards
 from std_toolkit.exporters.export_step import export_digest, export_scene
 from std_toolkit.exporters.staging import PROGRESS, staging_area
 from std_toolkit.io.atomic import write_bytes_atomic
 from std_toolkit.io.documents import (
     digest_bytes,
+    digest_files,
     digest_of,
     document_bytes,
     read_document,
@@ -132,6 +134,7 @@ def export_project(
     licence: str,
     shares: Mapping[str, float],
     by: By = "name",
+    shard_images: int = 0,
     options: ExportOptions | None = None,
     jobs: JobOptions | None = None,
 ) -> Dataset:
@@ -144,6 +147,7 @@ def export_project(
         out: folder of the data set; the same one is kept, an interrupted one is gone on with.
         licence: of the images, labels and meshes, for the card.
         shares, by: see `assign_splits`.
+        shard_images: most images of a shard beside each split of BOP; 0 for no shards.
         options: of the exports of the scenes; number, name and split of each are set here.
         jobs: where the frames are written.
 
@@ -152,8 +156,13 @@ def export_project(
 
     Raises:
         ToolkitError: no scene is accepted, two scenes have different meshes of one name, a split
-            is empty, a scene cannot be exported, or `out` has other content.
+            is empty, a scene cannot be exported, `out` has other content, or the layout has no
+            shards.
     """
+    if shard_images and format_name != "bop":
+        raise ToolkitError(
+            "only bop has shards", field="--shards", value=format_name, hint="give --format bop"
+        )
     options = options or ExportOptions()
     accepted = [row.name for row in rows if row.stage == "accepted"]
     if not accepted:
@@ -185,7 +194,9 @@ def export_project(
         for name in names
     }
     digests = {n: export_digest(scenes[n], format_name, out, own[n]) for n in scenes}
-    digest = digest_of(project.record.name, digests, splits, licence, by, list(shares.items()))
+    digest = digest_of(
+        project.record.name, digests, splits, licence, by, list(shares.items()), shard_images
+    )
     if (kept := _same(out, digest)) is not None:
         logger.info("%s: this data set already exists", out)
         return kept
@@ -196,6 +207,10 @@ def export_project(
             sidecar = export_scene(scene, format_name, root, options=own[name], jobs=jobs)
             parts.append(_part(name, own[name], root, sidecar))
         _clear(staging)
+        joined = _join(parts, staging)
+        for split in splits if shard_images else ():
+            shards = write_shards(staging / split, staging / f"{split}_web", images=shard_images)
+            joined |= digest_files(staging, shards)
         dataset = Dataset(
             name=project.record.name,
             layout=format_name,
@@ -207,7 +222,7 @@ def export_project(
             scenes=[p.row for p in parts],
             models=models_of([p.sidecar for p in parts]),
             labels=labels_of([p.sidecar for p in parts]),
-            files=_join(parts, staging),
+            files=joined,
         )
         card = card_text(dataset).encode()
         write_bytes_atomic(staging / CARD, card)

@@ -125,6 +125,9 @@ class ExportCommand(ProjectOptions):
     split_by: Literal["name", "order"] = "name"
     """assign scenes by a digest of their names, so that none changes its split when scenes are
     added, or in their order in the project, which meets the fractions best"""
+    shards: Whole = 0
+    """BOP: also write WebDataset shards of up to this many images beside each split; 0 for none,
+    1000 is usual"""
     options: ExportBasics = field(default_factory=ExportBasics)
     jobs: JobOptions = field(default_factory=JobOptions)
 

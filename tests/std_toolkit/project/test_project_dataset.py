@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import signal
+import tarfile
 from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from PIL import Image
 
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.importers.bop_packed import unpack_data_set
 from std_toolkit.project.agreement import agreement
 from std_toolkit.project.dataset import assign_splits
 from std_toolkit.project.dataset_card import Dataset
@@ -127,6 +130,42 @@ def test_targets_of_bop_are_those_of_the_split(lab: Project, tmp_path: Path) -> 
     assert not (tmp_path / "out/train_targets_bop19.json").exists()
 
 
+def test_shards_hold_the_images_of_a_split(lab: Project, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = [*export(lab, out, "bop"), "--shards", "3"]
+    assert main(["--quiet", *words]) == 0
+    shards = out / "train_web"
+    index = json.loads((shards / "key_to_shard.json").read_bytes())
+    assert sorted(index) == ["000001_000000", "000001_000001", "000002_000000", "000002_000001"]
+    assert sorted(index.values()) == [0, 0, 0, 1]
+    # They are read as the scene folders are.
+    back = unpack_data_set(shards, tmp_path / "back")
+    for scene in ("000001", "000002"):
+        for name in ("scene_camera", "scene_gt", "scene_gt_info"):
+            there = json.loads((back / scene / f"{name}.json").read_bytes())
+            assert there == json.loads((out / "train" / scene / f"{name}.json").read_bytes())
+        for kind in ("rgb", "depth"):
+            pictures = sorted((out / "train" / scene / kind).iterdir())
+            assert pictures and all(
+                (back / scene / kind / p.name).read_bytes() == p.read_bytes() for p in pictures
+            )
+    mask = np.asarray(Image.open(out / "train/000002/mask_visib/000001_000000.png")) > 0
+    with tarfile.open(shards / f"shard-{index['000002_000001']:06d}.tar") as archive:
+        member = archive.extractfile("000002_000001.mask_visib.json")
+        assert member is not None
+        filed = json.load(member)["0"]
+    values = np.repeat(np.arange(len(filed["counts"])) % 2, filed["counts"])
+    assert mask.any() and (values.reshape(filed["size"], order="F") == mask).all()
+    # Every byte is known, and the same export is kept.
+    dataset = msgspec.json.decode((out / "dataset.json").read_bytes(), type=Dataset)
+    assert "train_web/shard-000001.tar" in dataset.files
+    assert main(["--quiet", *words]) == 0
+    # Other shards are another data set.
+    other = [*export(lab, out, "bop"), "--shards", "1000", "--overwrite"]
+    assert main(["--quiet", *other]) == 0
+    assert not (shards / "shard-000001.tar").exists()
+
+
 def test_wrong_exports_are_a_line(
     lab: Project, rendered: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,12 +178,13 @@ def test_wrong_exports_are_a_line(
         (["--split", "train=x"], "expected NAME=FLOAT"),
         (["--split", "train=0.999", "test=0.001"], "test gets none of 3 scenes"),
         (["--format", "coco"], "coco"),
+        (["--format", "std", "--shards", "9"], "only bop has shards"),
         (["--licence", " "], "--licence: needed"),
         (["--out", str(tmp_path / "mine")], "not empty"),
         (["--out", str(lab.folder(lab.find("table0")) / "x")], "inside"),
     ):
         words, place = list(given), given.index(changed[0])
-        count = 2 if changed[0] == "--split" else 1
+        count = 2 if changed[0] == "--split" else 1  # that are replaced
         words[place : place + 1 + count] = changed
         assert main(["--quiet", *words]) in (1, 2)
         lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("error:")]
