@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         ListOptions,
         OrderOptions,
         SelfTestOptions,
+        SpeedOptions,
         VerifyOptions,
     )
     from benchmark.methods.pose.priors.options import PriorsCommand
@@ -121,6 +122,20 @@ def self_test(options: SelfTestOptions) -> int:
     return report_failures(failed)
 
 
+def speeds(options: SpeedOptions) -> int:
+    """Measure the speed of networks; returns the exit status."""
+    from benchmark.evaluation.tasks.speed_run import measure_speeds, speed_table
+    from benchmark.report.parts.published import published_tables
+
+    found = list(measure_speeds(options))
+    if options.json:
+        print_json(found)
+    else:
+        tables = [speed_table(found), *published_tables(("speed",))]
+        print("\n\n".join(table.terminal() for table in tables))
+    return report_failures({row.method: row.error for row in found if row.error})
+
+
 def verify_results(options: VerifyOptions) -> int:
     """Check results; returns the exit status."""
     from benchmark.evaluation.verification import VERIFICATION
@@ -220,6 +235,12 @@ PROGRAM = Program(
             "compare the networks' answers with pinned ones",
             _QUERY + "SelfTestOptions",
             "self_test",
+        ),
+        (
+            "speed",
+            "measure how fast networks are, without weights and data",
+            _QUERY + "SpeedOptions",
+            "speeds",
         ),
         (
             "verify",

@@ -60,6 +60,43 @@ class SelfTestOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SpeedOptions:
+    """Measure frames per second, parameters and cost of networks, without weights and data.
+
+    Networks have the weights that training begins with, and see a made-up frame at the size they
+    work at. Below are the speeds that papers print.
+    """
+
+    methods: tuple[str, ...] = field(
+        default=("swindrnet", "nlspn", "dfnet", "lidf", "cleargrasp", "two-branch"),
+        metadata={"option": "method"},
+    )
+    """names of `std-bench list methods`, package.module:Class, or file.py:Class"""
+    preset: str = "published"
+    """network size: published or compact"""
+    size: tuple[int, int] = field(default=(640, 360), metadata={"size": True})
+    """size of the frame, for networks that work at any size"""
+    device: str = "cpu"
+    """torch device"""
+    precision: Literal["fp32", "bf16", "fp16"] = "fp32"
+    """arithmetic of networks"""
+    compile: bool = False
+    """run networks through torch.compile"""
+    batch_size: Count = 1
+    """frames restored at once"""
+    repeats: Count = 15
+    """most timed batches; fewer for slow networks"""
+    json: bool = False
+    """print JSON"""
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        check_lists(self, "methods")
+        if min(self.size) < 1:
+            raise ToolkitError("must be positive", field="size", value=self.size)
+
+
+@dataclass(frozen=True, kw_only=True)
 class InferListOptions:
     """Write the list of frames that a program of another environment is to restore.
 

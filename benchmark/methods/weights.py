@@ -2,7 +2,9 @@
 
 import argparse
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -60,12 +62,35 @@ ARCHITECTURES: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 
 
+_UNTRAINED: ContextVar[bool] = ContextVar("untrained", default=False)
+
+
+@contextmanager
+def untrained() -> Iterator[None]:
+    """Networks that are made within the block keep the weights that they begin training with.
+
+    Their cost is that of trained ones, and their answers mean nothing.
+    """
+    before = _UNTRAINED.set(True)
+    try:
+        yield
+    finally:
+        _UNTRAINED.reset(before)
+
+
+def is_untrained() -> bool:
+    """Whether networks are made without trained weights now."""
+    return _UNTRAINED.get()
+
+
 def weights_for(method: str, options: MethodOptions) -> Path:
     """The file of weights that a user gave, or else the one that comes with the toolkit.
 
     Raises:
         ToolkitError: neither.
     """
+    if is_untrained():
+        return Path()  # that nothing reads
     return options.weights or shipped_weights(method, options.preset)
 
 
@@ -112,7 +137,7 @@ def load_weights(
     ignored: Sequence[str] = (),
     renamed: Renamed | None = None,
 ) -> None:
-    """Read a network's weights from a file.
+    """Read a network's weights from a file; within `untrained`, leave them as they are.
 
     Args:
         network: gets the tensors of the file themselves: no second copy in memory.
@@ -124,6 +149,8 @@ def load_weights(
         ToolkitError: the file cannot be read, or is of another architecture: which keys are
             missing, which unknown and which have another shape.
     """
+    if is_untrained():
+        return
     state = read_weights(path)
     if renamed is not None:
         state = renamed(state, network.state_dict())

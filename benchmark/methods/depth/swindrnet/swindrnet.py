@@ -14,7 +14,7 @@ from benchmark.methods.depth.swindrnet import swin, swindrnet_network
 from benchmark.methods.depth.swindrnet.fast import FastSwinDRNetwork
 from benchmark.methods.network import NetworkRestorer, Prediction, network_of, torch_device
 from benchmark.methods.registry import MethodOptions
-from benchmark.methods.weights import check_keys, read_weights
+from benchmark.methods.weights import check_keys, is_untrained, read_weights
 from std_toolkit.errors import ToolkitError
 
 # Of a classifier, and what does not depend on training.
@@ -79,7 +79,7 @@ def _network(
     presets = swindrnet_network.PRESETS
     config, network = network_of("swindrnet", presets, swindrnet_network.SwinDRNetwork, options)
     own = presets[options.preset].input_size
-    if options.weights is None and config.input_size != own:
+    if options.weights is None and config.input_size != own and not is_untrained():
         # Their statistics of batch normalisation are those of one size: at others, objects are
         # decimetres off.
         raise ToolkitError(
