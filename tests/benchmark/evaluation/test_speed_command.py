@@ -22,8 +22,8 @@ def test_speed_needs_no_weights(capsys: pytest.CaptureFixture[str]) -> None:
     speed = dfnet["speed"]
     assert (speed["width"], speed["height"], speed["batch_size"]) == (224, 126, 1)
     assert speed["frames_per_s"] > 0 and speed["gmacs"] > 0
-    # The two-branch network has no weights that ship, and takes images of any size.
-    assert two_branch["speed"]["parameters"] > 0 and two_branch["speed"]["width"] == 64
+    # The two-branch network has no weights that ship.
+    assert two_branch["speed"]["parameters"] > 0
     shipped = restorers.make("dfnet", COMPACT)
     assert shipped.parameter_count == speed["parameters"]  # type: ignore[attr-defined]
 
