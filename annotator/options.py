@@ -13,17 +13,21 @@ from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
 from std_toolkit.labels.agreement.options import CompareOptions
 
+# The secret that a browser must send, and the address of the board of a project that started this
+# process for one of its scenes: it then ends with its standard input.
+TOKEN_VARIABLE, HOME_VARIABLE = "STD_ANNOTATE_TOKEN", "STD_ANNOTATE_HOME"
+
 
 @dataclass(frozen=True, kw_only=True)
 class AnnotateOptions:
-    """Align the CAD meshes of objects to a recorded scene.
+    """Align the CAD meshes of objects to a recorded scene, or show the board of a project.
 
     Opens a window, serves a browser (--web) or runs a script (--script). Every edit is written to
     disk immediately; unsaved edits are offered for recovery when the scene is opened again.
     """
 
     scene: Path | None = field(default=None, metadata={"option": "", "writes": Writes("scene")})
-    """scene folder (the window asks for one)"""
+    """scene folder (the window asks for one), or folder of a project"""
     annotator: str | None = None
     """who annotates (the user of this computer)"""
     read_only: bool = False
@@ -42,7 +46,8 @@ class AnnotateOptions:
     """address to listen on"""
     token: str | None = None
     """secret that a browser must send; required for addresses other than 127.0.0.1
-    ($STD_ANNOTATE_TOKEN, which other users of this computer cannot see)"""
+    ($STD_ANNOTATE_TOKEN, which other users of this computer cannot see). In a project, each person
+    has one: `std-curate project people`"""
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -130,6 +130,19 @@ def lock_holder(root: Path, name: str) -> str:
     return ""
 
 
+def person_of(holder: str) -> str:
+    """The person and the computer of what `lock_holder` says; "" for nobody.
+
+    >>> person_of("root@lab2 pid 12, annotator Ann B.")
+    'Ann B. (lab2)'
+    >>> person_of("root@lab2 pid 12")
+    'root (lab2)'
+    """
+    account, _, note = holder.partition(", annotator ")
+    user, _, computer = account.partition(" pid ")[0].partition("@")
+    return f"{note or user} ({computer})" if computer else holder
+
+
 def _user() -> str:
     try:
         return getpass.getuser()

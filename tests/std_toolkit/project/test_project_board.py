@@ -115,6 +115,7 @@ def test_the_board_says_what_each_scene_waits_for(
         "reason": "it fits",
         "annotator": "Ann",
         "minutes": 1.5,
+        "note": "",
     }
     assert main(["project", "status", str(lab.root)]) == 0
     out = capsys.readouterr().out
