@@ -35,6 +35,9 @@ class AnnotateOptions:
     recover: Literal["ask", "yes", "no"] = "ask"
     """unsaved edits of an earlier session: restore them (yes), set them aside (no) or ask; a script
     with such edits needs yes or no"""
+    take_over: bool = False
+    """open a scene that another computer has open which is not heard of any more, because it is off
+    or without network"""
     meshes: str | None = None
     """folder of meshes to show in the library beside those of the scene; remembered for later
     starts, "none" forgets it"""
@@ -55,6 +58,8 @@ class AnnotateOptions:
             raise ToolkitError("--script and --web exclude each other")
         if self.script is not None and self.read_only:
             raise ToolkitError("a script edits the scene and cannot be run with --read-only")
+        if self.take_over and (self.script is not None or self.read_only):
+            raise ToolkitError("--take-over is for editing by hand, without --script, --read-only")
         if self.script is not None and self.meshes is not None:
             raise ToolkitError(
                 "--meshes needs a window or --web", hint="a script names its mesh files"

@@ -256,9 +256,7 @@ class BoardServer:
         other = self.sessions.editor(mode, row.name)
         if other is not None and other.person != person:
             since = time.strftime("%H:%M", time.localtime(other.since))
-            told = (
-                f"{other.person} has {row.name} open since {since}; you can look at it meanwhile"
-            )
+            told = f"{other.person} has {row.name} open since {since}; you can look at it meanwhile"
             return await self._scene(request, problem=told, status=409)
         copy = self._project.second(item)
         if mode == "again" and (row.second is None or not {*row.second.labellers} <= {person}):

@@ -115,16 +115,8 @@ class FrontEnd:
         session = self.controller.session
         self._state.update(page_constants(session, dialogs=self.controller.dialogs))
         self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
-        self._state.update(
-            {
-                "home": self._home,
-                "left": False,
-                "busy_share": None,
-                "sliding": None,
-                "fading": None,
-                "mistyped": 0,
-            }
-        )
+        self._state.update({"busy_share": None, "sliding": None, "fading": None, "mistyped": 0})
+        self._state.update({"home": self._home, "left": False})
         self._state.update({"sought": "", "sought_object": ""})
         self._state.client_only("sliding", "fading", "sought", "sought_object")
         self._refresh()

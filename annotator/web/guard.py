@@ -13,6 +13,7 @@ import hmac
 import ipaddress
 import re
 from collections.abc import Callable
+from typing import Any
 from urllib.parse import urlsplit
 
 from aiohttp import web
@@ -25,7 +26,7 @@ COOKIE = "std_annotate_token"
 SHORTEST_TOKEN = 16
 
 # Key of a request: in whose name it is.
-PERSON = "person"
+PERSON: Any = getattr(web, "RequestKey", lambda name, _: name)("person", str)  # aiohttp < 3.13
 
 # Vue compiles the page's template in the browser, hence 'unsafe-eval'. `connect-src` limits the
 # connections of the page: a link could name another web socket, whose server could inject scripts.

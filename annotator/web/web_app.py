@@ -44,7 +44,11 @@ def run(args: AnnotateOptions) -> int:
     if home:
         threading.Thread(target=_end_with_parent, name="end with parent", daemon=True).start()
     with Session.open(
-        args.scene, annotator=args.annotator, recover=args.recover, read_only=args.read_only
+        args.scene,
+        annotator=args.annotator,
+        recover=args.recover,
+        read_only=args.read_only,
+        take_over=args.take_over,
     ) as session:
         asyncio.run(
             until_signal(
@@ -181,10 +185,10 @@ def tell_address(host: str, port: int, token: str | None, *, people: bool = Fals
     """
     shown = f"[{host}]" if ":" in host else host
     query = f"/?token={token}" if token is not None else ""
-    if people and token is None:
-        query = "/?token=..., each with their own token,"
     logger.info("open http://%s:%d%s in a browser; Ctrl-C ends", shown, port, query)
-    if token is None and not people:
+    if token is None and people:
+        logger.info("each person adds their token: http://%s:%d/?token=...", shown, port)
+    elif token is None:
         logger.info("other users of this machine can open it, too; --token SECRET prevents this")
 
 

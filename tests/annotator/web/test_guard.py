@@ -25,7 +25,9 @@ def serve(
         return web.Response(text="inside")
 
     async def run() -> Any:
-        app = web.Application(middlewares=[guard(opens_to(token) if token else None, loopback=True)])
+        app = web.Application(
+            middlewares=[guard(opens_to(token) if token else None, loopback=True)]
+        )
         app.add_routes([web.get("/", page), web.get("/ws", page)])
         async with (
             TestServer(app, host="127.0.0.1") as server,
