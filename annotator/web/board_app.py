@@ -181,10 +181,13 @@ class BoardServer:
         """The board, read in a thread; what was read a moment ago is read once for all."""
         async with self._reading:
             if time.monotonic() - self._read_at > FRESH_S:
-                self._project = self._door.project = await _elsewhere(
-                    partial(Project.open, self._project.root)
-                )
-                self._rows = await _elsewhere(partial(project_board, self._project))
+                root = self._project.root
+                try:
+                    found = await _elsewhere(partial(Project.open, root))
+                    self._rows = await _elsewhere(partial(project_board, found))
+                except ToolkitError as error:
+                    raise web.HTTPInternalServerError(text=f"{error}\n") from error
+                self._project = self._door.project = found
                 self._read_at = time.monotonic()
         return self._rows
 
