@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from aiohttp import ClientSession, ClientWebSocketResponse, CookieJar
+from aiohttp import ClientSession, ClientWebSocketResponse, CookieJar, WSMsgType
 
 from std_toolkit.project.people import make_token
 from std_toolkit.project.record import Project, Rules, create_project
@@ -77,15 +77,24 @@ class Hand:
 
     def __init__(self, socket: ClientWebSocketResponse) -> None:
         self.socket = socket
+        self.moved = 0
+        self._reading = asyncio.create_task(self._read())
 
     @staticmethod
     async def at(visitor: Visitor, path: str) -> Hand:
         socket = await visitor.http.ws_connect(f"{visitor.url}{path}views", origin=visitor.url)
         hand = Hand(socket)
         await hand.send(type="sizes", sizes=[[400, 300]], ratio=1)
-        first = await socket.receive(timeout=60)
-        assert "keys" in json.loads(first.data)
         return hand
+
+    async def _read(self) -> None:
+        """Take what comes, as a browser does, which also answers pings."""
+        async for message in self.socket:
+            if message.type is WSMsgType.TEXT:
+                self.moved = json.loads(message.data).get("moved", self.moved)
+            elif message.type is WSMsgType.BINARY:
+                image = int.from_bytes(message.data[4:8], "little")
+                await self.send(type="shown", view=message.data[0], number=image)
 
     async def send(self, **message: Any) -> None:
         await self.socket.send_str(json.dumps(message))
@@ -98,17 +107,7 @@ class Hand:
         await self.send(type="pointer", view=0, kind="down", x=0.5, y=0.5)
         for i in range(1, 6):
             await self.send(type="pointer", view=0, kind="move", x=0.5 + i / 50, y=0.5, number=i)
-        await self.until_moved(5)
-
-    async def until_moved(self, number: int) -> None:
-        while True:
-            message = await self.socket.receive(timeout=60)
-            assert isinstance(message.data, str | bytes), message
-            if isinstance(message.data, str) and json.loads(message.data).get("moved") == number:
-                return
-            if isinstance(message.data, bytes):
-                image = int.from_bytes(message.data[4:8], "little")
-                await self.send(type="shown", view=message.data[0], number=image)
+        await until(lambda: self.moved == 5)
 
 
 def journal(scene: Path) -> list[str]:

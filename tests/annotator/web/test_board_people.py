@@ -17,9 +17,8 @@ from std_toolkit.project.status import project_board
 from std_toolkit.scene.review import read_reviews
 from tests.std_toolkit.project.lab import template
 
-pytestmark = pytest.mark.long
 
-
+@pytest.mark.long
 def test_three_people_label_and_review_and_a_killed_session_loses_nothing(
     serve: Callable[..., Served], tmp_path: Path
 ) -> None:
@@ -58,7 +57,9 @@ def test_three_people_label_and_review_and_a_killed_session_loses_nothing(
             await until(lambda: "s2" not in sessions_of(server.process.pid))
             assert journal(tmp_path / "s2") == ["begun", "edit", "edit", "edit"]
             # Its page tries again and finds a new session of the scene; the others go on.
-            status, page = await z.get("/at/edit/s2/index.html")
+            while (found := await z.get("/at/edit/s2/index.html"))[0] == 502:
+                await asyncio.sleep(0.1)  # the server did not notice yet
+            status, page = found
             assert status == 200 and "annotator/start.js" in page
             await hands[0].key("Left")
             await until(lambda: journal(tmp_path / "s0").count("edit") == 2)
@@ -91,6 +92,7 @@ def test_three_people_label_and_review_and_a_killed_session_loses_nothing(
         assert session.unsaved and len(session.steps) == 3
 
 
+@pytest.mark.slow
 def test_a_revoked_token_ends_the_session_and_the_server_takes_all_with_it(
     serve: Callable[..., Served], tmp_path: Path
 ) -> None:
@@ -108,8 +110,7 @@ def test_a_revoked_token_ends_the_session_and_the_server_takes_all_with_it(
             await asyncio.gather(a.open("one"), b.open("two"))
             hand = await Hand.at(a, "/at/edit/one/")
             revoke_token(project, "Ann")
-            while not hand.socket.closed:
-                await hand.socket.receive(timeout=30)
+            await until(lambda: hand.socket.closed)
             await until(lambda: [*sessions_of(server.process.pid)] == ["two"])
             assert (await a.get("/"))[0] == (await a.get("/at/edit/two/"))[0] == 401
             new = make_token(project, "Ann")

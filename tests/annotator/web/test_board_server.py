@@ -123,20 +123,10 @@ def test_hostile_requests_find_nothing(lab: Lab, tmp_path: Path) -> None:
                 assert (await ben.post("/scenes/fits/open", origin=origin))[0] == 403
             assert (await ben.get("/", Host="elsewhere.example"))[0] == 403
             assert (await ben.get("/", Origin="https://elsewhere.example"))[0] == 403
-            for name in (
-                "..",
-                "%2e%2e",
-                "..%2f..%2fsecret.txt",
-                "none",
-                "%00",
-                "fits%2f..",
-                "../fits",
-            ):
-                for path in (
-                    f"/scenes/{name}",
-                    f"/scenes/{name}/picture",
-                    f"/scenes/{name}/report",
-                ):
+            names = ("..", "%2e%2e", "..%2f..%2fsecret.txt", "none", "%00", "fits%2f..", "../fits")
+            for name in names:
+                for rest in ("", "/picture", "/report"):
+                    path = f"/scenes/{name}{rest}"
                     status, text = await ben.get(path)
                     assert status in (400, 404) or text.startswith("<!doctype"), (path, status)
                     assert "secret" not in text
