@@ -49,6 +49,7 @@ def _field(label: ObjectState, said: str) -> Field:
     return Field(
         f"{_ABOUT}{label.name}",
         f"{label.name} is {label.grade}: {label.reason}. Why is it kept?",
+        kind="lines",
         value=said,
         tip="Needed to accept the scene.",
     )
