@@ -107,8 +107,12 @@ class BoardPage(QtWidgets.QWidget):
     def refresh(self, problem: ToolkitError | None = None, tried: Path | None = None) -> None:
         """Read the board again, and show the error of the scene that could not be opened."""
         self._tried = tried
-        self.problem.show_problem(problem)
+        self._tell(problem)
         self.read()
+
+    def _tell(self, problem: ToolkitError | None) -> None:
+        self.problem.show_problem(problem)
+        self.problem.again.setVisible(self._tried is not None)
 
     def read(self) -> None:
         """Read the board in the background."""
@@ -121,7 +125,7 @@ class BoardPage(QtWidgets.QWidget):
 
     def _show(self, found: Any, error: Exception | None) -> None:
         if error is not None:
-            self.problem.show_problem(
+            self._tell(
                 error if isinstance(error, ToolkitError) else ToolkitError(str(error))
             )
             return
@@ -268,9 +272,9 @@ class BoardPage(QtWidgets.QWidget):
         try:
             against = work()
         except ToolkitError as error:
-            self.problem.show_problem(error)
+            self._tell(error)
             return
-        self.problem.show_problem(ToolkitError("; ".join(against)) if against else None)
+        self._tell(ToolkitError("; ".join(against)) if against else None)
         self.read()
 
 

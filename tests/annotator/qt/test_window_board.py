@@ -81,7 +81,8 @@ def test_a_review_in_the_window_keeps_the_rules(open_bench: OpenBench, lab: Proj
     page = board(bench)
     bench.answering("accept")
     QTest.mouseClick(page.review_button, LEFT)
-    assert "box_1 is doubtful and has no reason of Ben" in page.problem.text.text()
+    assert "ox_1 is doubtful and has no reason of Ben" in page.problem.text.text()
+    assert page.problem.again.isHidden()
 
     def give(dialog: QDialog) -> None:
         dialog.widgets["about: box_1"].setPlainText("the rim fits")  # type: ignore[attr-defined]
