@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from annotator.options import TOKEN_VARIABLE
 from annotator.startup import front_end
 from std_toolkit.cli.command import Command, Program, print_json
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
     from annotator.options import AnnotateOptions, CompareCommand, MergeCommand
-
-TOKEN_VARIABLE = "STD_ANNOTATE_TOKEN"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,7 +25,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def open_scene(options: AnnotateOptions) -> int:
     """Annotate a scene."""
-    if options.scene is not None and not (options.scene / "scene.json").is_file():
+    project = options.scene is not None and (options.scene / "project.json").is_file()
+    if project and (options.script is not None or options.read_only or options.recover != "ask"):
+        raise ToolkitError(
+            "--script, --read-only and --recover are for one scene, and this is a project",
+            path=options.scene,
+            hint="name the folder of a scene",
+        )
+    if options.scene is not None and not project and not (options.scene / "scene.json").is_file():
         raise ToolkitError(
             "no scene here (scene.json is missing)",
             path=options.scene,
@@ -43,7 +49,8 @@ def open_scene(options: AnnotateOptions) -> int:
     if options.web is not None:
         token = options.token or os.environ.get(TOKEN_VARIABLE)
         needs = ("aiohttp", "pyvista", "trame", "trame_vuetify")
-        app = front_end("annotator.web.web_app", "web", needs, "a browser")
+        module = "annotator.web.board_app" if project else "annotator.web.web_app"
+        app = front_end(module, "web", needs, "a browser")
         return int(app.run(replace(options, token=token)))
     # Report missing packages before a missing display: installing needs no display.
     app = front_end("annotator.qt.qt_app", "gui", ("PySide6", "pyvista", "pyvistaqt"), "a window")

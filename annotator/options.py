@@ -13,17 +13,21 @@ from std_toolkit.errors import ToolkitError, check_options
 from std_toolkit.jobs.door import Writes
 from std_toolkit.labels.agreement.options import CompareOptions
 
+# The secret that a browser must send, and the address of the board of a project that started this
+# process for one of its scenes: it then ends with its standard input.
+TOKEN_VARIABLE, HOME_VARIABLE = "STD_ANNOTATE_TOKEN", "STD_ANNOTATE_HOME"
+
 
 @dataclass(frozen=True, kw_only=True)
 class AnnotateOptions:
-    """Align the CAD meshes of objects to a recorded scene.
+    """Align the CAD meshes of objects to a recorded scene, or show the board of a project.
 
     Opens a window, serves a browser (--web) or runs a script (--script). Every edit is written to
     disk immediately; unsaved edits are offered for recovery when the scene is opened again.
     """
 
     scene: Path | None = field(default=None, metadata={"option": "", "writes": Writes("scene")})
-    """scene folder (the window asks for one)"""
+    """scene folder (the window asks for one), or folder of a project"""
     annotator: str | None = None
     """who annotates (the user of this computer)"""
     read_only: bool = False
@@ -31,6 +35,9 @@ class AnnotateOptions:
     recover: Literal["ask", "yes", "no"] = "ask"
     """unsaved edits of an earlier session: restore them (yes), set them aside (no) or ask; a script
     with such edits needs yes or no"""
+    take_over: bool = False
+    """open a scene that another computer has open which is not heard of any more, because it is off
+    or without network"""
     meshes: str | None = None
     """folder of meshes to show in the library beside those of the scene; remembered for later
     starts, "none" forgets it"""
@@ -42,7 +49,8 @@ class AnnotateOptions:
     """address to listen on"""
     token: str | None = None
     """secret that a browser must send; required for addresses other than 127.0.0.1
-    ($STD_ANNOTATE_TOKEN, which other users of this computer cannot see)"""
+    ($STD_ANNOTATE_TOKEN, which other users of this computer cannot see). In a project, each person
+    has one: `std-curate project people`"""
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -50,6 +58,8 @@ class AnnotateOptions:
             raise ToolkitError("--script and --web exclude each other")
         if self.script is not None and self.read_only:
             raise ToolkitError("a script edits the scene and cannot be run with --read-only")
+        if self.take_over and (self.script is not None or self.read_only):
+            raise ToolkitError("--take-over is for editing by hand, without --script, --read-only")
         if self.script is not None and self.meshes is not None:
             raise ToolkitError(
                 "--meshes needs a window or --web", hint="a script names its mesh files"

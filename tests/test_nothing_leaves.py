@@ -42,6 +42,7 @@ ROWS: dict[str, dict[str, tuple[str, int]]] = {
         "run": ("b --engine serial", 1),
         "project create": ("p --scenes a --people me", 0),
         "project add": ("p --people you", 0),
+        "project people": ("p --token you", 0),
         "project status": ("p", 0),
         "project run": ("p --engine serial", 0),
         "project review": ("p a --by me --send-back turned", 0),

@@ -85,7 +85,8 @@ class Dialogs:
         self._show(None)
         self._c.attempt(lambda: question.answer(pressed, answers))
 
-    def _ask(self, question: questions.Question) -> None:
+    def put(self, question: questions.Question) -> None:
+        """Show a question in place of another one."""
         self._open = question
         self._show(question)
 
@@ -97,7 +98,7 @@ class Dialogs:
                 self.add_meshes([Path(answers["path"]).expanduser()])
 
         kinds = ", ".join(s.lstrip(".").upper() for s in MESH_SUFFIXES)
-        self._ask(
+        self.put(
             questions.Question(
                 "Add a mesh",
                 react,
@@ -181,14 +182,14 @@ class Dialogs:
                 self._ask_units(rest, [*known, replace(new, faces=faces)], then)
 
             if size.faces > MANY_FACES:
-                self._ask(mesh_import.decimate_question(name, size, FEWER_FACES, decide, skip))
+                self.put(mesh_import.decimate_question(name, size, FEWER_FACES, decide, skip))
             else:
                 decide("keep")
 
         if size.units == ("m",):
             react("m")
         else:
-            self._ask(mesh_import.unit_question(name, size, react, skip))
+            self.put(mesh_import.unit_question(name, size, react, skip))
 
     def _done_anyway(self) -> None:
         name = self._c.selected
@@ -199,7 +200,7 @@ class Dialogs:
                 self._c.mark("done", anyway=True)
 
         if doubts:
-            self._ask(label_questions.doubt_question(doubts, react))
+            self.put(label_questions.doubt_question(doubts, react))
 
     # --- the labels -------------------------------------------------------------------------------
 
@@ -211,13 +212,13 @@ class Dialogs:
         def react(_: str, answers: questions.Answers) -> None:
             operations.propagate(self._c, label_questions.propagate_options(answers))
 
-        self._ask(label_questions.propagate_question(self._c.session, self._doubts(), react))
+        self.put(label_questions.propagate_question(self._c.session, self._doubts(), react))
 
     def _conflict(self) -> None:
         def react(pressed: str, _: questions.Answers) -> None:
             operations.save(self._c, on_conflict="mine" if pressed == "mine" else "theirs")
 
-        self._ask(questions.conflict_question(self._c.conflict, react))
+        self.put(questions.conflict_question(self._c.conflict, react))
 
     def recovery(self) -> None:
         """Ask what to do with the recoverable edits of an earlier session."""
@@ -229,7 +230,7 @@ class Dialogs:
                 session.recover() if pressed == "recover" else session.discard_recovery()
 
         if session.recovery is not None:
-            self._ask(questions.recovery_question(session.recovery, react, can_leave=False))
+            self.put(questions.recovery_question(session.recovery, react, can_leave=False))
 
     # --- the selected object ----------------------------------------------------------------------
 
@@ -243,7 +244,7 @@ class Dialogs:
             if name not in ("", old) and self._c.apply(ChangeObject(object=old, name=name)):
                 self._c.select(name)
 
-        self._ask(
+        self.put(
             questions.Question(
                 f"Rename {old}",
                 react,
@@ -262,7 +263,7 @@ class Dialogs:
             if answers["note"] != old:
                 self._c.apply(ChangeObject(object=name, note=answers["note"]))
 
-        self._ask(
+        self.put(
             questions.Question(
                 f"Note on {name}",
                 react,
@@ -298,7 +299,7 @@ class Dialogs:
             if symmetry != model.symmetry:
                 self._c.apply(SetSymmetry(model=model.id, symmetry=symmetry))
 
-        self._ask(questions.symmetry_question(model, react))
+        self.put(questions.symmetry_question(model, react))
 
     def ask_pose(self, frames: str, paste: Callable[[str], object]) -> None:
         """Ask for a pose as text, for front ends that cannot read the clipboard.
@@ -307,7 +308,7 @@ class Dialogs:
             frames: text on the source and target coordinate frames.
             paste: called with the text.
         """
-        self._ask(
+        self.put(
             questions.Question(
                 "Paste a pose",
                 lambda _, answers: paste(answers["matrix"]),
@@ -320,7 +321,7 @@ class Dialogs:
 
     def _shortcuts(self) -> None:
         groups = key_rows(self._c.dialogs)
-        self._ask(questions.Question("Keys and mouse", groups=groups, searchable=True))
+        self.put(questions.Question("Keys and mouse", groups=groups, searchable=True))
 
     def _about(self) -> None:
         drawn_by = self._drawn_by()
@@ -330,4 +331,4 @@ class Dialogs:
         )
         if drawn_by:
             text += f"\n\nViews are drawn by {drawn_by}."
-        self._ask(questions.Question("std-annotate", text=text))
+        self.put(questions.Question("std-annotate", text=text))

@@ -22,11 +22,14 @@ from annotator.app import (
 from annotator.app.controller import Controller
 from annotator.qt import commands, graphics, question_dialog, settings, start_page
 from annotator.session import Session
+from annotator.session.session import user_name
 from annotator.startup import quick_imports
 from std_toolkit.errors import ToolkitError
 
 if TYPE_CHECKING:
+    from annotator.qt.board_panel import BoardPage
     from annotator.qt.workspace import Workspace
+    from std_toolkit.project.record import Project
 
 Recover = Literal["ask", "yes", "no"]
 
@@ -41,17 +44,24 @@ class Shell(QMainWindow):
     Args:
         annotator: name of the annotator; default: the user of this computer.
         meshes: folder whose meshes are in the library of every scene.
+        project: whose board is shown in place of the start page.
     """
 
     def __init__(
-        self, *, annotator: str | None = None, meshes: mesh_folder.MeshFolder | None = None
+        self,
+        *,
+        annotator: str | None = None,
+        meshes: mesh_folder.MeshFolder | None = None,
+        project: Project | None = None,
     ) -> None:
         super().__init__()
+        self._project = project
+        self._board_runner = QtRunner()
         self._meshes = meshes
         self._annotator = annotator
         self.workspace: Workspace | None = None
         self.controller: Controller | None = None
-        self.start_page: start_page.StartPage | None = None
+        self.start_page: start_page.StartPage | BoardPage | None = None
         self._runner: QtRunner | None = None
         graphics.prepare_window(self)
         self.setMinimumSize(*SMALLEST)
@@ -66,7 +76,12 @@ class Shell(QMainWindow):
     # --- opening ---------------------------------------------------------------------------------
 
     def open_scene(
-        self, root: Path | str, *, read_only: bool = False, recover: Recover = "ask"
+        self,
+        root: Path | str,
+        *,
+        read_only: bool = False,
+        recover: Recover = "ask",
+        take_over: bool = False,
     ) -> bool:
         """Open a scene in place of the current content; False if it was not opened.
 
@@ -77,7 +92,11 @@ class Shell(QMainWindow):
         root = Path(root)
         try:
             session = Session.open(
-                root, annotator=self._annotator, recover=recover, read_only=read_only
+                root,
+                annotator=self._annotator,
+                recover=recover,
+                read_only=read_only,
+                take_over=take_over,
             )
             try:
                 if session.recovery is not None and not self._decide_recovery(session):
@@ -106,14 +125,21 @@ class Shell(QMainWindow):
     ) -> None:
         """Show the start page."""
         if self.start_page is None:
-            self.start_page = start_page.StartPage()
-            self.start_page.browse.connect(self.browse)
+            if self._project is None:
+                self.start_page = start_page.StartPage()
+                self.start_page.browse.connect(self.browse)
+            else:
+                from annotator.qt.board_panel import BoardPage
+
+                who = user_name() if self._annotator is None else self._annotator
+                self.start_page = BoardPage(self._project, who, self._board_runner)
             self.start_page.chosen.connect(
-                lambda root, read_only: self.open_scene(root, read_only=read_only)
+                lambda root, look, take: self.open_scene(root, read_only=look, take_over=take)
             )
             self.setCentralWidget(self.start_page)
         self.menuBar().clear()
-        self.setWindowTitle("std-annotate")
+        name = "" if self._project is None else f"{self._project.record.name} · "
+        self.setWindowTitle(f"{name}std-annotate")
         self.start_page.refresh(problem, tried)
 
     def _decide_recovery(self, session: Session) -> bool:
@@ -208,6 +234,7 @@ class Shell(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:
         if self.leave_scene():
+            self._board_runner.close(timeout=2.0)
             event.accept()
         else:
             event.ignore()
@@ -220,8 +247,13 @@ class Shell(QMainWindow):
             self.start_page.refresh(ToolkitError(text))
 
     def close_soon(self) -> None:
-        """Close after the current event, such as that of the menu entry."""
-        QTimer.singleShot(0, self, self.close)
+        """Close after the current event, such as that of the menu entry; a project's scene leads
+        back to its board."""
+        QTimer.singleShot(0, self, self.close if self._project is None else self._back)
+
+    def _back(self) -> None:
+        if self.leave_scene():
+            self.show_start_page()
 
 
 class _Postman(QObject):

@@ -34,7 +34,8 @@ def run(args: AnnotateOptions) -> int:
             `recover`, `meshes`.
 
     Raises:
-        ToolkitError: the folder of meshes does not exist or contains none.
+        ToolkitError: the folder of meshes does not exist or contains none, or the project is
+            damaged.
         KeyboardInterrupt: SIGINT or SIGTERM closed the window.
     """
     meshes = choose_folder(args.meshes)
@@ -42,17 +43,24 @@ def run(args: AnnotateOptions) -> int:
     with whole_imports(), quick_imports():
         from annotator.qt.main_window import Shell
 
-    shell = Shell(annotator=args.annotator, meshes=meshes)
+    project = None
+    if args.scene is not None and (args.scene / "project.json").is_file():
+        from std_toolkit.project.record import Project
+
+        project = Project.open(args.scene.resolve())
+    shell = Shell(annotator=args.annotator, meshes=meshes, project=project)
     tell_troubles(shell)
     shell.show()
     shell.activateWindow()
-    if args.scene is not None:
+    if args.scene is not None and project is None:
         scene = Path(args.scene)
         # The window is shown first, to display messages and questions of opening.
         QTimer.singleShot(
             0,
             shell,
-            lambda: shell.open_scene(scene, read_only=args.read_only, recover=args.recover),
+            lambda: shell.open_scene(
+                scene, read_only=args.read_only, recover=args.recover, take_over=args.take_over
+            ),
         )
     # Computations run in other threads: a shorter interval lets the views run five times as often.
     sys.setswitchinterval(0.001)

@@ -14,6 +14,7 @@ from annotator.qt import theme
 from annotator.qt.settings import recent_scenes
 from annotator.qt.theme import icon, pixmap
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io.locks import TAKE_OVER
 
 _HOW = (
     "A scene is a folder that <code>std-curate import</code> makes of a recording; "
@@ -25,11 +26,12 @@ class StartPage(QtWidgets.QWidget):
     """Page to select a scene.
 
     Signals:
-        chosen: folder of the scene (Path), and whether to open it read-only.
+        chosen: folder of the scene (Path), whether to open it read-only, and whether to take it
+            over from a computer that is gone.
         browse: a file dialog for a folder is requested.
     """
 
-    chosen = Signal(object, bool)
+    chosen = Signal(object, bool, bool)
     browse = Signal()
 
     def __init__(self) -> None:
@@ -40,8 +42,9 @@ class StartPage(QtWidgets.QWidget):
         what = QtWidgets.QLabel("Align the CAD meshes of objects to a recorded scene.")
         what.setObjectName("muted")
         self.problem = ProblemCard()
-        self.problem.again.clicked.connect(lambda: self._retry(False))
-        self.problem.look.clicked.connect(lambda: self._retry(True))
+        self.problem.again.clicked.connect(lambda: self._retry())
+        self.problem.look.clicked.connect(lambda: self._retry(look=True))
+        self.problem.take.clicked.connect(lambda: self._retry(take_over=True))
 
         self.open_button = QtWidgets.QPushButton(icon("open"), "Open scene folder...")
         self.open_button.setObjectName("primary")
@@ -101,11 +104,11 @@ class StartPage(QtWidgets.QWidget):
         self.empty.setVisible(self.recent.count() == 0)
 
     def _choose(self, item: QtWidgets.QListWidgetItem) -> None:
-        self.chosen.emit(Path(item.data(Qt.ItemDataRole.UserRole)), False)
+        self.chosen.emit(Path(item.data(Qt.ItemDataRole.UserRole)), False, False)
 
-    def _retry(self, read_only: bool) -> None:
+    def _retry(self, *, look: bool = False, take_over: bool = False) -> None:
         if self._tried is not None:
-            self.chosen.emit(self._tried, read_only)
+            self.chosen.emit(self._tried, look, take_over)
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         if any(Path(u.toLocalFile()).is_dir() for u in event.mimeData().urls()):
@@ -116,7 +119,7 @@ class StartPage(QtWidgets.QWidget):
         folder = next((f for f in folders if f.is_dir()), None)
         if folder is not None:
             event.acceptProposedAction()
-            self.chosen.emit(folder, False)
+            self.chosen.emit(folder, False, False)
 
 
 class ProblemCard(QtWidgets.QFrame):
@@ -134,13 +137,15 @@ class ProblemCard(QtWidgets.QFrame):
         self.again = QtWidgets.QPushButton("Try again")
         self.look = QtWidgets.QPushButton("Open read-only")
         self.look.setToolTip("Nothing can be changed, and the other session is not disturbed.")
+        self.take = QtWidgets.QPushButton("Take over")
+        self.take.setToolTip("Only if the other computer is off: its edits stay in the journal.")
         top = QtWidgets.QHBoxLayout()
         top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
         top.addWidget(self.text, 1)
         buttons = QtWidgets.QHBoxLayout()
         buttons.addStretch(1)
-        buttons.addWidget(self.look)
-        buttons.addWidget(self.again)
+        for button in (self.take, self.look, self.again):
+            buttons.addWidget(button)
         layout = QtWidgets.QVBoxLayout(self)
         layout.addLayout(top)
         layout.addLayout(buttons)
@@ -151,6 +156,7 @@ class ProblemCard(QtWidgets.QFrame):
             self.text.setText(describe_problem(problem))
             # The scene is readable; only writing fails.
             self.look.setVisible("read-only" in (problem.hint or ""))
+            self.take.setVisible(TAKE_OVER in (problem.hint or ""))
 
 
 def describe_problem(problem: ToolkitError) -> str:
@@ -160,6 +166,8 @@ def describe_problem(problem: ToolkitError) -> str:
         text += f"\n{problem.field or 'Value'}: {problem.value}"
     if problem.path:
         text += f"\n{problem.path}"
+    if TAKE_OVER in (problem.hint or ""):
+        text += f"\n{problem.hint}"
     return text
 
 

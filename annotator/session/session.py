@@ -16,7 +16,7 @@ from annotator.session import journal, ledger, merge, recovery, saving, state
 from annotator.session.editing import Change, Editing, Recorder
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import sweep_temporaries
-from std_toolkit.io.locks import hold_lock
+from std_toolkit.io.locks import TAKE_OVER, Held, hold_lock
 from std_toolkit.scene import Scene
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ class Session(Editing):
     ) -> None:
         super().__init__(scene, annotator=annotator, by_hand=by_hand, recorder=recorder)
         self._locks = ExitStack()
+        self._held: Held | None = None
 
     @staticmethod
     def open(
@@ -75,6 +76,7 @@ class Session(Editing):
         recover: Literal["ask", "yes", "no"] = "ask",
         read_only: bool = False,
         by_hand: bool = True,
+        take_over: bool = False,
     ) -> Session:
         """Open a scene for annotation; reads no images.
 
@@ -84,6 +86,7 @@ class Session(Editing):
                 their journal aside, "ask" leaves them in `recovery`.
             read_only: take no lock and allow no edits.
             by_hand: whether a person edits, so that the working time is recorded.
+            take_over: take the scene over from a computer that is not heard of any more.
 
         Raises:
             ToolkitError: there is no scene, a document is damaged, another session has the scene
@@ -93,7 +96,7 @@ class Session(Editing):
         if read_only:
             return Session(Scene.open(root), annotator=who, by_hand=by_hand, recorder=None)
         with ExitStack() as locks:
-            _hold(locks, Scene.open(root).root, who)
+            held = _hold(locks, Scene.open(root).root, who, take_over)
             # Read under the lock, to include the last write of an earlier session.
             scene = Scene.open(root)
             recorder = Recorder(scene)
@@ -104,7 +107,7 @@ class Session(Editing):
                 session.recover()
             elif session.recovery is not None and recover == "no":
                 session.discard_recovery()
-            session._locks = locks.pop_all()
+            session._held, session._locks = held, locks.pop_all()
         return session
 
     def __enter__(self) -> Session:
@@ -290,6 +293,11 @@ class Session(Editing):
         self.warnings = list(opened.warnings)
         return merge.Version(stored, opened.state)
 
+    def _require_editable(self) -> None:
+        super()._require_editable()
+        if self._held is not None:
+            self._held.check()
+
     def _decided(self) -> recovery.Recovery:
         if self.recovery is None:
             raise ToolkitError("there are no edits to recover", path=self.scene.root)
@@ -304,16 +312,17 @@ def user_name() -> str:
         return ""
 
 
-def _hold(locks: ExitStack, root: Path, annotator: str) -> None:
+def _hold(locks: ExitStack, root: Path, annotator: str, take_over: bool) -> Held:
     note = f"annotator {annotator}" if annotator else ""
     try:
-        locks.enter_context(hold_lock(root, LOCK, doing="annotating", note=note))
+        return locks.enter_context(
+            hold_lock(root, LOCK, doing="annotating", note=note, beats=True, take_over=take_over)
+        )
     except ToolkitError as error:
-        held = "another process" in error.problem
-        raise ToolkitError(
-            error.problem,
-            path=error.path,
-            hint="close that session first, or open the scene read-only"
+        held, dead = "another process" in error.problem, TAKE_OVER in (error.hint or "")
+        hint = (
+            "close that session first, or open the scene read-only"
             if held
-            else "open it read-only (--read-only)",
-        ) from error
+            else ("open it read-only (--read-only)")
+        )
+        raise error.revised(hint=f"{error.hint}, or open it read-only" if dead else hint) from error

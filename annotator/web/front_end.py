@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import os
+import signal
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import cv2
@@ -39,6 +41,8 @@ from std_toolkit.log import logger
 
 # Shortest interval between updates of the panels, and of the progress, seconds.
 REFRESH_S, BUSY_S = 0.05, 0.25
+# Time for the pages to hear that they go elsewhere, seconds.
+LEAVE_S = 0.5
 
 
 class FrontEnd:
@@ -49,8 +53,14 @@ class FrontEnd:
     """
 
     def __init__(
-        self, server: Any, session: Session, meshes: mesh_folder.MeshFolder | None = None
+        self,
+        server: Any,
+        session: Session,
+        meshes: mesh_folder.MeshFolder | None = None,
+        *,
+        home: str = "",
     ) -> None:
+        self._home = home
         self._state = server.state
         self._loop = asyncio.get_running_loop()
         self._refresh_planned = False
@@ -67,7 +77,8 @@ class FrontEnd:
         c.mesh_folder = meshes
         if session.state.objects:
             c.select(session.state.objects[0].name)
-        self.dialogs = dialogs.Dialogs(c, self._show_question)
+        own = {"close": self._leave} if home else None
+        self.dialogs = dialogs.Dialogs(c, self._show_question, own=own)
         self._fields = pose_text.PoseFields(c)
         self._action_of = {
             k: a.id for a in action_table.available_actions(c.dialogs) for k in a.keys
@@ -105,6 +116,7 @@ class FrontEnd:
         self._state.update(page_constants(session, dialogs=self.controller.dialogs))
         self._state.update({"dialog": None, "answers": {}, "thumbnails": {}, "notices": []})
         self._state.update({"busy_share": None, "sliding": None, "fading": None, "mistyped": 0})
+        self._state.update({"home": self._home, "left": False})
         self._state.update({"sought": "", "sought_object": ""})
         self._state.client_only("sliding", "fading", "sought", "sought_object")
         self._refresh()
@@ -142,6 +154,25 @@ class FrontEnd:
         self._images.close()
         for stream in self._streams:
             stream.close()
+
+    def _leave(self) -> None:
+        """Save or keep the edits, and lead all pages to the board; then this process ends."""
+        c = self.controller
+        if c.task is not None and c.task.alone:
+            c.tell(f"{c.task.title}: wait until it is done.", "warning")
+            return
+        c.cancel_drag()
+
+        def react(pressed: str, _: questions.Answers = {}) -> None:  # noqa: B006 - never changed
+            if pressed == "save" and not operations.save(c):
+                return
+            self._set(left=True)
+            self._later(LEAVE_S, lambda: os.kill(os.getpid(), signal.SIGTERM))
+
+        if c.session.writable and c.session.unsaved:
+            self.dialogs.put(replace(questions.closing_question(len(c.session.steps)), react=react))
+        else:
+            react("")
 
     # --- out -------------------------------------------------------------------------------------
 

@@ -1,62 +1,31 @@
-"""Web server of `std-annotate SCENE --web PORT`, with access control.
-
-Access is limited to this machine or to clients with the token. A page of another site can make a
-browser send requests to 127.0.0.1, open web sockets there, and embed the page in a frame. Even
-without a token, a request must therefore name this server as its host and, if the browser sends an
-origin, come from a page of this server. The content security policy of the page allows
-connections to this server only and forbids embedding.
-"""
+"""Web server of `std-annotate SCENE --web PORT`: one scene; `guard` says who may use it."""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
-import hmac
-import ipaddress
 import os
-import re
 import secrets
 import signal
+import sys
+import threading
 from collections.abc import Awaitable, Callable
 from functools import partial
 from types import FrameType
 from typing import Any
-from urllib.parse import urlsplit
 
 from aiohttp import web
-from aiohttp.typedefs import Handler, Middleware
 
 from annotator.app.mesh_folder import MeshFolder, choose_folder
-from annotator.options import AnnotateOptions
+from annotator.options import HOME_VARIABLE, AnnotateOptions
 from annotator.session import Session
+from annotator.web.guard import check_address, guard, is_loopback, opens_to
 from std_toolkit.errors import ToolkitError
 from std_toolkit.jobs.interrupt import whole_imports
 from std_toolkit.log import logger
 
 # A browser that vanished without closing the socket is detected after about this time, seconds.
 HEARTBEAT_S = 10
-
-COOKIE = "std_annotate_token"
-
-SHORTEST_TOKEN = 16
-
-# Vue compiles the page's template in the browser, hence 'unsafe-eval'. `connect-src` limits the
-# connections of the page: a link could name another web socket, whose server could inject scripts.
-_POLICY = (
-    "default-src 'self'; script-src 'self' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'{sockets}; "
-    "object-src 'none'; base-uri 'self'; form-action 'none'; frame-ancestors 'none'"
-)
-
-_HEADERS = {
-    "X-Frame-Options": "DENY",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-}
-
-_HOST = re.compile(r"[\w.\-]+(:\d+)?|\[[0-9a-fA-F:.]+\](:\d+)?")
 
 
 def run(args: AnnotateOptions) -> int:
@@ -71,18 +40,34 @@ def run(args: AnnotateOptions) -> int:
     check_address(args.host, args.token)
     meshes = choose_folder(args.meshes)
     prepare_drawing()
+    home = os.environ.get(HOME_VARIABLE, "")
+    if home:
+        threading.Thread(target=_end_with_parent, name="end with parent", daemon=True).start()
     with Session.open(
-        args.scene, annotator=args.annotator, recover=args.recover, read_only=args.read_only
+        args.scene,
+        annotator=args.annotator,
+        recover=args.recover,
+        read_only=args.read_only,
+        take_over=args.take_over,
     ) as session:
         asyncio.run(
-            _until_signal(
-                serve(session, host=args.host, port=args.web, token=args.token, meshes=meshes)
+            until_signal(
+                serve(
+                    session, host=args.host, port=args.web, token=args.token, meshes=meshes,
+                    home=home,
+                )
             )
-        )
+        )  # fmt: skip
     return 0
 
 
-async def _until_signal(serving: Awaitable[None]) -> None:
+def _end_with_parent() -> None:
+    """End this process when the server of the project is gone, however that ended."""
+    sys.stdin.buffer.read()
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+async def until_signal(serving: Awaitable[None]) -> None:
     """Run the server; the first SIGINT or SIGTERM ends it between two tasks of the event loop.
 
     VTK ends the process with status 1 if a callback that it calls raises KeyboardInterrupt, which
@@ -122,12 +107,14 @@ async def serve(
     port: int,
     token: str | None,
     meshes: MeshFolder | None = None,
+    home: str = "",
     started: Callable[[int], None] | None = None,
 ) -> None:
-    """Serve until cancelled.
+    """Serve until cancelled, or until the page leaves for its home.
 
     Args:
         meshes: folder whose meshes are in the library.
+        home: address of the board that "Close" leads to, or "".
         started: called with the port once the server listens.
     """
     with whole_imports():
@@ -142,7 +129,8 @@ async def serve(
     )
     secret = secrets.token_urlsafe(24)
     _ignore_command_line(server.cli, host=host, port=port, authKey=secret)
-    front_end = FrontEnd(server, session, meshes)
+    front_end = FrontEnd(server, session, meshes, home=home)
+    door = None if token is None else opens_to(token)
 
     async def index(_: web.Request) -> web.Response:
         page = index_html(title=f"{session.scene.info.name} · std-annotate", secret=secret)
@@ -152,7 +140,7 @@ async def serve(
 
     def protect(web_server: Any) -> None:
         app: web.Application = web_server.app
-        app.middlewares.append(guard(token, loopback=is_loopback(host)))
+        app.middlewares.append(guard(door, loopback=is_loopback(host)))
         # These routes precede those of trame.
         app.router.add_get("/", index)
         app.router.add_get("/index.html", index)
@@ -189,12 +177,18 @@ async def serve(
         front_end.close()
 
 
-def tell_address(host: str, port: int, token: str | None) -> None:
-    """Log the address to open; the token is printed only here."""
+def tell_address(host: str, port: int, token: str | None, *, people: bool = False) -> None:
+    """Log the address to open; the token is printed only here.
+
+    Args:
+        people: whether each person has a token of their own, which is known only to them.
+    """
     shown = f"[{host}]" if ":" in host else host
     query = f"/?token={token}" if token is not None else ""
     logger.info("open http://%s:%d%s in a browser; Ctrl-C ends", shown, port, query)
-    if token is None:
+    if token is None and people:
+        logger.info("each person adds their token: http://%s:%d/?token=...", shown, port)
+    elif token is None:
         logger.info("other users of this machine can open it, too; --token SECRET prevents this")
 
 
@@ -202,101 +196,3 @@ def _ignore_command_line(parser: Any, **values: Any) -> None:
     """Make trame use these values instead of the command line and $TRAME_ARGS."""
     parser.set_defaults(**values)
     parser.parse_known_args = partial(argparse.ArgumentParser.parse_known_args, parser, [])
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address or name is a loopback address of this machine."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False
-
-
-def check_address(host: str, token: str | None) -> None:
-    """Check that an address reachable by others is protected by a token.
-
-    Raises:
-        ToolkitError: a non-loopback address without a token, or a token that is too short.
-    """
-    if token is None and not is_loopback(host):
-        raise ToolkitError(
-            "others could reach this address, so it needs a token",
-            field="--host",
-            value=host,
-            hint="give --token SECRET (16 characters or more; `openssl rand -hex 16` makes one), "
-            "or stay on 127.0.0.1 and use `ssh -L`",
-        )
-    if token is not None and (len(token) < SHORTEST_TOKEN or not token.isprintable()):
-        raise ToolkitError(
-            f"a token needs {SHORTEST_TOKEN} printable characters or more",
-            field="--token",
-            hint="`openssl rand -hex 16` makes one",
-        )
-
-
-def guard(token: str | None, *, loopback: bool) -> Middleware:
-    """Return a middleware that rejects unauthorized requests.
-
-    Args:
-        token: the secret, or None if only this machine can connect. It is read from the query
-            (`?token=...`), which sets a cookie, or from the cookie.
-        loopback: whether the server listens on loopback; the host named by a request must then be
-            loopback, too.
-    """
-
-    @web.middleware
-    async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
-        try:
-            _check_origin(request, loopback=loopback)
-            if token is not None:
-                _check_token(request, token)
-            answer = await handler(request)
-        except web.HTTPException as refusal:
-            _protect(request, refusal)
-            raise
-        if not answer.prepared:
-            _protect(request, answer)
-        return answer
-
-    return check
-
-
-def cookie_name(request: web.Request) -> str:
-    """Return the name of the token cookie, which contains the port: ports share cookies."""
-    return f"{COOKIE}_{urlsplit(f'//{request.host}').port or 80}"
-
-
-def _check_origin(request: web.Request, *, loopback: bool) -> None:
-    if not _HOST.fullmatch(request.host):
-        raise web.HTTPBadRequest(text="The request names no host.\n")
-    name = urlsplit(f"//{request.host}").hostname or ""
-    if loopback and not is_loopback(name):
-        raise web.HTTPForbidden(text="This server answers to its own address only.\n")
-    origin = request.headers.get("Origin")
-    if origin is not None and urlsplit(origin).netloc != request.host:
-        raise web.HTTPForbidden(text="Requests from pages of other sites are refused.\n")
-
-
-def _check_token(request: web.Request, token: str) -> None:
-    given = request.query.get("token")
-    known = given if given is not None else request.cookies.get(cookie_name(request), "")
-    if not hmac.compare_digest(known.encode(errors="replace"), token.encode()):
-        raise web.HTTPUnauthorized(
-            text="A token is needed: open the address that std-annotate printed, "
-            "which ends in ?token=...\n"
-        )
-    if given is not None and request.method == "GET" and "Upgrade" not in request.headers:
-        # Removes the secret from the address bar (and thus from history and screenshots).
-        query = {k: v for k, v in request.query.items() if k != "token"}
-        answer = web.HTTPFound(request.rel_url.with_query(query))
-        answer.set_cookie(cookie_name(request), token, httponly=True, samesite="Strict", path="/")
-        raise answer
-
-
-def _protect(request: web.Request, answer: web.StreamResponse) -> None:
-    # In some browsers 'self' does not include web sockets.
-    own = f" ws://{request.host} wss://{request.host}" if _HOST.fullmatch(request.host) else ""
-    answer.headers.update(_HEADERS)
-    answer.headers["Content-Security-Policy"] = _POLICY.format(sockets=own)

@@ -31,7 +31,7 @@ from std_toolkit.checks.shapes import find_shapes, with_shapes
 from std_toolkit.io.atomic import sweep_temporaries, write_bytes_atomic
 from std_toolkit.io.documents import digest_files, document_bytes, read_document
 from std_toolkit.jobs import JobOptions, run_jobs
-from std_toolkit.jobs.artefact import Artefact, Record, read_record, record_path
+from std_toolkit.jobs.artefact import Artefact
 from std_toolkit.options import CheckOptions
 from std_toolkit.rendering.ground_truth import info_path, map_paths
 from std_toolkit.scene import Frame, Scene
@@ -136,15 +136,6 @@ def run_check(
         artefact.write([scene.root / FOLDER / name for name in outputs])
         store_judgements(scene, report, options)
     return report
-
-
-def report_is_current(scene: Scene) -> bool:
-    """Whether the last report belongs to the current labels, camera poses and meshes.
-
-    Reads no image. A report whose record was deleted counts as current.
-    """
-    record = read_record(record_path(scene.root, STEP), Record)
-    return record is None or record.inputs.get(SCENE_INPUT) == scene_fingerprint(scene)
 
 
 def report_path(root: Path) -> Path:

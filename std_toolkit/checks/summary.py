@@ -9,7 +9,12 @@ from pathlib import Path
 from typing import Literal
 
 from std_toolkit.html.table import Cell, Column, Row, Table
-from std_toolkit.scene.check_flags import read_check_flags
+from std_toolkit.io.regular import file_sizes
+from std_toolkit.scene.check_flags import (
+    read_check_flags,
+    report_is_current,
+    scene_fingerprint,
+)
 from std_toolkit.scene.label_verdicts import UNCHECKED, LabelVerdict, label_verdicts
 from std_toolkit.scene.scene import Scene
 
@@ -140,21 +145,24 @@ def summarise(scene: Scene) -> SceneSummary:
         ToolkitError: a document breaks its schema.
     """
     poses, labels = scene.poses, scene.labels
-    missing = [f.color for f in scene.frames if not (scene.root / f.color).is_file()]
-    missing += [f.depth for f in scene.frames if f.depth and not (scene.root / f.depth).is_file()]
+    colors = [f.color for f in scene.frames]
+    missing = _missing(scene, colors)
+    with_color = len(colors) - len(missing)
+    missing += _missing(scene, [f.depth for f in scene.frames if f.depth])
     missing += [m.mesh for m in scene.objects.models if not (scene.root / m.mesh).is_file()]
     names = {o.id: o.name for o in scene.objects.objects}
     reference = scene.root / "reference"
     report = (scene.root / "check" / "report.html").is_file()
     current, stale = _ground_truth_counts(scene)
-    flags = read_check_flags(scene) if report else None
+    fingerprint = scene_fingerprint(scene) if report else ""
+    flags = read_check_flags(scene, fingerprint) if report else None
     found = SceneSummary(
         root=scene.root,
         name=scene.info.name,
         source=scene.info.source,
         cameras=[_camera_line(key, scene) for key in sorted(scene.info.cameras)],
         frames=len(scene.frames),
-        frames_with_color=sum((scene.root / f.color).is_file() for f in scene.frames),
+        frames_with_color=with_color,
         frames_with_depth=sum(f.depth is not None for f in scene.frames),
         missing_files=missing,
         depth_scale=scene.info.depth_scale,
@@ -169,7 +177,7 @@ def summarise(scene: Scene) -> SceneSummary:
         ground_truth=current,
         stale_ground_truth=stale,
         report=report,
-        stale_report=report and not _report_is_current(scene),
+        stale_report=report and not report_is_current(scene, fingerprint),
         check_passed=None if flags is None else flags.passed,
         check_gates=[] if flags is None else [str(gate) for gate in flags.gates],
         verdicts=label_verdicts(scene),
@@ -309,23 +317,17 @@ def _scale_line(scene: Scene) -> str | None:
     return text
 
 
+def _missing(scene: Scene, names: Sequence[str]) -> list[str]:
+    return [n for n, size in zip(names, file_sizes(scene.root, names), strict=True) if size < 0]
+
+
 def _ground_truth_counts(scene: Scene) -> tuple[int, int]:
     """Frames with current and with outdated ground truth."""
     if not (scene.root / "gt").is_dir():
         return 0, 0
-    from std_toolkit.rendering.ground_truth import read_frame_truth, rendered_frames
-    from std_toolkit.rendering.placements import truth_is_current
+    from std_toolkit.rendering.ground_truth import rendered_frames
+    from std_toolkit.rendering.placements import current_truths
 
-    current = stale = 0
-    for frame_id in rendered_frames(scene):
-        if truth_is_current(scene, read_frame_truth(scene, frame_id)):
-            current += 1
-        else:
-            stale += 1
-    return current, stale
-
-
-def _report_is_current(scene: Scene) -> bool:
-    from std_toolkit.checks.check_step import report_is_current
-
-    return report_is_current(scene)
+    frames = rendered_frames(scene)
+    current = current_truths(scene, frames)
+    return current, len(frames) - current

@@ -14,6 +14,7 @@ from std_toolkit.io.documents import DIALECT
 from std_toolkit.io.regular import read_regular
 from std_toolkit.jobs import artefact
 from std_toolkit.project.dataset_card import Dataset
+from std_toolkit.project.people import Tokens
 from std_toolkit.project.record import ProjectRecord
 from std_toolkit.rendering.ground_truth import FrameTruth
 from std_toolkit.scene import model, review, sidecar
@@ -32,6 +33,7 @@ def document_types() -> dict[str, type]:
         "annotation": model.Annotation,
         "review": review.Reviews,
         "project": ProjectRecord,
+        "tokens": Tokens,
         "dataset": Dataset,
         "ground_truth": FrameTruth,
         "check_report": CheckReport,

@@ -81,6 +81,7 @@ PROGRAM = Program(
         _command("run", "run poses, propagate --refine, render and check", "labelling:run"),
         _of_project("create", "make a project of many scenes: people, rules, board, queue"),
         _of_project("add", "add scenes and people to a project"),
+        _of_project("people", "list the people of a project, make or revoke a person's token"),
         _of_project("status", "print the board of a project, or what is due for a person"),
         _of_project("run", "take every scene of a project through the steps that are due"),
         _of_project("review", "accept the labels of a scene, or send it back with a reason"),

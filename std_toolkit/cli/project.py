@@ -19,6 +19,7 @@ from std_toolkit.project.options import (
     AgreementCommand,
     CreateCommand,
     ExportCommand,
+    PeopleCommand,
     ReviewCommand,
     RunCommand,
     StatusCommand,
@@ -73,6 +74,26 @@ def _made(project: Project, problems: list[ToolkitError]) -> int:
     return 0
 
 
+def people(command: PeopleCommand) -> int:
+    """List people, or make or revoke a token."""
+    from std_toolkit.project.people import make_token, people_table, revoke_token
+    from std_toolkit.project.record import Project
+
+    project = Project.open(command.project)
+    if command.token is not None and command.revoke is not None:
+        raise ToolkitError("--token and --revoke exclude each other")
+    if command.revoke is not None:
+        revoke_token(project, command.revoke)
+        print(f"the token of {command.revoke} is revoked")
+    elif command.token is not None:
+        token = make_token(project, command.token)
+        print(f"{command.token} opens the address of the server with ?token={token}")
+        print("note: this is shown once; whoever has it acts in this name", file=sys.stderr)
+    else:
+        print(people_table(project).terminal())
+    return 0
+
+
 def status(command: StatusCommand) -> int:
     """Print the board, or the queue of a person; 1 if a scene cannot be read."""
     from std_toolkit.project.queue import due_for, due_table
@@ -96,12 +117,19 @@ def status(command: StatusCommand) -> int:
 
 
 def review(command: ReviewCommand) -> int:
-    """Store a review; 1 if something stands against the acceptance."""
-    from std_toolkit.project.queue import review_scene
+    """Store a review or comment; 1 if something stands against the acceptance."""
+    from std_toolkit.project.queue import comment_scene, review_scene
     from std_toolkit.project.record import Project
 
+    project = Project.open(command.project)
+    if command.comment is not None:
+        if command.accept or command.send_back is not None or command.reason:
+            raise ToolkitError("--comment stands alone")
+        comment_scene(project, command.scene, by=command.by, text=command.comment)
+        print(f"{command.scene}: commented by {command.by}")
+        return 0
     against = review_scene(
-        Project.open(command.project),
+        project,
         command.scene,
         by=command.by,
         accept=command.accept,

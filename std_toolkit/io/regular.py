@@ -2,6 +2,7 @@
 
 import os
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -65,3 +66,20 @@ def read_text(path: Path, kind: str, largest_bytes: int = 64 * MIB) -> str:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
         raise ToolkitError(f"the {kind} is not text: {error}", path=path) from error
+
+
+def file_sizes(root: Path, names: Iterable[str]) -> list[int]:
+    """The size in bytes of each file of a folder; -1 where there is none. For thousands of files.
+
+    Args:
+        root: the folder.
+        names: paths relative to it.
+    """
+    sizes, folder = [], f"{root}/"
+    for name in names:
+        try:
+            found = os.stat(folder + name)  # noqa: PTH116 - five times as fast as a Path
+            sizes.append(found.st_size if stat.S_ISREG(found.st_mode) else -1)
+        except (OSError, ValueError):
+            sizes.append(-1)
+    return sizes

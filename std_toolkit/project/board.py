@@ -11,8 +11,11 @@ from std_toolkit.checks.summary import SceneSummary, Step, summarise
 from std_toolkit.errors import ToolkitError
 from std_toolkit.html.table import Table, text_table
 from std_toolkit.scene.judgement import GRADES, Grade
-from std_toolkit.scene.review import Standing, label_digests, read_reviews, standing
+from std_toolkit.scene.review import Reviews, Standing, label_digests, read_reviews, standing
 from std_toolkit.scene.scene import Scene
+
+# What the reasons of a review of labels are.
+_REASON = {"noted": "gave a reason", "accepted": "gave a reason"}
 
 State = Literal["open", "labelled", "done", "reviewed", "refused"]
 
@@ -29,6 +32,7 @@ class ObjectState:
         grade, reason: verdict on the label as far as it holds; None without a label.
         annotator: who labelled it, or "".
         minutes: that the annotator worked on it, at least; None if that is not known.
+        note: of the annotator.
     """
 
     name: str
@@ -37,6 +41,26 @@ class ObjectState:
     reason: str = ""
     annotator: str = ""
     minutes: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Something that a person did in a scene.
+
+    Attributes:
+        time: UTC, ISO 8601.
+        by: who, or "".
+        did: "labelled", "accepted", "sent back", "commented" or "gave a reason".
+        about: an object, or "".
+        text: what was said, or "".
+    """
+
+    time: str
+    by: str
+    did: str
+    about: str = ""
+    text: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +81,8 @@ class SceneState:
         reasons: why labels are kept that the check doubts: text by object and reviewer.
         next_step: what is missing, see `checks.summary`.
         next_command: what to run next; None if the scene is complete.
+        events: who labelled, reviewed and commented, the latest first.
+        picture: path of the image of the first frame, relative to the scene.
         problem: why the scene cannot be read; "" otherwise, and all else is empty.
     """
 
@@ -74,6 +100,8 @@ class SceneState:
     reasons: dict[str, dict[str, str]] = field(default_factory=dict)
     next_step: Step = ""
     next_command: str | None = None
+    events: list[Event] = field(default_factory=list)
+    picture: str = ""
     problem: str = ""
 
     @property
@@ -120,24 +148,27 @@ def scene_state(folder: Path) -> SceneState:
 
 
 def _state(folder: Path, scene: Scene, summary: SceneSummary) -> SceneState:
-    said = standing(read_reviews(scene.root), label_digests(scene))
+    reviews = read_reviews(scene.root)
+    said = standing(reviews, label_digests(scene))
     labels = {label.object: label for label in scene.labels.labels}
     verdicts = {verdict.object: verdict for verdict in summary.verdicts}
     objects = []
     for item in scene.objects.objects:
         label, verdict = labels.get(item.id), verdicts.get(item.id)
+        noted = scene.annotation.of(item.id)
         if label is None:
-            objects.append(ObjectState(name=item.name, state="open"))
+            objects.append(ObjectState(name=item.name, state="open", note=noted.note))
             continue
         seconds = label.provenance.hands_on_s if label.provenance else None
         objects.append(
             ObjectState(
                 name=item.name,
-                state=_object_state(item.name, said, scene.annotation.of(item.id).status),
+                state=_object_state(item.name, said, noted.status),
                 grade=verdict.grade if verdict else "unknown",
                 reason=verdict.reason if verdict else "",
                 annotator=label.annotator,
                 minutes=None if seconds is None else seconds / 60,
+                note=noted.note,
             )
         )
     passed = summary.check_passed
@@ -156,7 +187,29 @@ def _state(folder: Path, scene: Scene, summary: SceneSummary) -> SceneState:
         reasons={name: dict(texts) for name, texts in said.reasons.items()},
         next_step=summary.next_step,
         next_command=summary.next_command,
+        events=_events(scene, reviews),
+        picture=scene.frames[0].color if scene.frames else "",
     )
+
+
+def _events(scene: Scene, reviews: Reviews) -> list[Event]:
+    names = {o.id: o.name for o in scene.objects.objects}
+    found = [
+        Event(time=label.provenance.time, by=label.annotator, did="labelled",
+              about=names[label.object])
+        for label in scene.labels.labels
+        if label.provenance
+    ]  # fmt: skip
+    for row in reviews.reviews:
+        did = {"noted": "commented"}.get(row.verdict, row.verdict)
+        if row.reason or row.verdict != "noted":
+            found.append(Event(time=row.time, by=row.by, did=did, text=row.reason))
+        found += [
+            Event(time=row.time, by=row.by, did=_REASON.get(row.verdict, row.verdict), about=name,
+                  text=text)
+            for name, text in row.reasons.items()
+        ]  # fmt: skip
+    return sorted(found, key=lambda event: event.time, reverse=True)
 
 
 def _object_state(name: str, said: Standing, status: str) -> State:

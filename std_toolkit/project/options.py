@@ -55,6 +55,20 @@ class AddCommand(ProjectOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PeopleCommand(ProjectOptions):
+    """List the people of a project, make a token of a person, or revoke it.
+
+    `std-annotate PROJECT --web PORT` asks for a token: it decides in whose name a browser labels
+    and reviews. The token is printed once; the project stores its digest only.
+    """
+
+    token: str | None = None
+    """make a token of this person; an earlier one is worthless then"""
+    revoke: str | None = None
+    """revoke the token of this person"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class StatusCommand(ProjectOptions):
     """Print the board of a project: what each scene waits for, verdicts, people, minutes.
 
@@ -72,7 +86,7 @@ class StatusCommand(ProjectOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ReviewCommand(ProjectOptions):
-    """Accept the labels of a scene, send it back with a reason, or give the reason of a label.
+    """Accept the labels of a scene, send it back, give the reason of a label, or comment.
 
     The review is stored in the scene (review.json). It holds until a label changes. The exit
     status is 1 if something stands against the acceptance.
@@ -84,7 +98,7 @@ class ReviewCommand(ProjectOptions):
     scene: str = field(metadata={"option": ""})
     """name or folder of the scene"""
     by: str = field(metadata={"option": "by"})
-    """the reviewer; who labelled the scene may not review it"""
+    """the reviewer; who labelled the scene may not review it, only comment"""
     accept: bool = False
     """accept all labels as they are"""
     send_back: str | None = None
@@ -92,6 +106,8 @@ class ReviewCommand(ProjectOptions):
     reason: Mapping[str, str] = field(default_factory=dict, metadata={"repeat": True})
     """why the label of this object is kept although it is doubtful or unknown; with --send-back,
     what is wrong with it; may be repeated"""
+    comment: str | None = None
+    """only say something about the scene; anybody of the project may"""
 
 
 @dataclass(frozen=True, kw_only=True)

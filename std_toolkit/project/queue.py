@@ -10,9 +10,10 @@ from typing import Literal
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.html.table import Table, text_table
 from std_toolkit.project.board import SceneState
+from std_toolkit.project.people import check_person
 from std_toolkit.project.record import Project
 from std_toolkit.project.status import SceneRow, objections, scene_row
-from std_toolkit.scene.review import Review, add_review, label_digests
+from std_toolkit.scene.review import Review, Verdict, add_review, label_digests
 from std_toolkit.scene.scene import Scene
 
 # In the order in which they are due.
@@ -48,7 +49,7 @@ def due_for(project: Project, rows: Sequence[SceneRow], person: str) -> list[Due
     Raises:
         ToolkitError: nobody of the project has this name.
     """
-    _known(project, person)
+    check_person(project, person)
     turn, people = project.record.people.index(person), len(project.record.people)
     correct, again = [], []
     reviews: list[tuple[tuple[int, int], Due]] = []
@@ -132,7 +133,7 @@ def review_scene(
         raise ToolkitError("give --accept, --send-back REASON or --reason OBJECT=TEXT")
     if send_back is not None and not send_back.strip():
         raise ToolkitError("needs a reason", field="--send-back", value=send_back)
-    _known(project, by)
+    check_person(project, by)
     item = project.find(given)
     row = scene_row(project, item)
     if row.scene.problem:
@@ -158,26 +159,25 @@ def review_scene(
         against = objections(replace(row.scene, reasons=merged), by, row.hands)
         if against:
             return against
-    add_review(
-        scene,
-        Review(
-            time=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-            by=by,
-            verdict="accepted" if accept else "noted" if send_back is None else "sent back",
-            reason=send_back or "",
-            reasons=reasons,
-            labels=labels,
-        ),
-    )
+    verdict: Verdict = "accepted" if accept else "noted" if send_back is None else "sent back"
+    _add(scene, by, verdict, send_back or "", reasons)
     return []
 
 
-def _known(project: Project, person: str) -> None:
-    people = project.record.people
-    if not people:
-        raise ToolkitError(
-            "the project names no people",
-            path=project.root,
-            hint="add them with `std-curate project add PROJECT --people NAME ...`",
-        )
-    check_known(person, people, "the project has no such person", path=project.root)
+def comment_scene(project: Project, given: str, *, by: str, text: str) -> None:
+    """Store a comment on a scene; anybody of the project may, and it changes no state.
+
+    Raises:
+        ToolkitError: an unknown person or scene, no text, or a scene that cannot be read.
+    """
+    check_person(project, by)
+    if not text.strip():
+        raise ToolkitError("needs a text", field="--comment", value=text)
+    _add(Scene.open(project.folder(project.find(given))), by, "noted", text.strip(), {})
+
+
+def _add(scene: Scene, by: str, verdict: Verdict, text: str, reasons: Mapping[str, str]) -> None:
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    row = Review(time=now, by=by, verdict=verdict, reason=text, reasons=dict(reasons),
+                 labels=label_digests(scene))  # fmt: skip
+    add_review(scene, row)

@@ -28,6 +28,7 @@ pixels; `perf/render.py`):
 - 16-bit PNG of `sparse_png`, which stores objects and deflates the background: 2 ms and 0.97 MB.
 """
 
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -161,7 +162,12 @@ class GroundTruth:
 
 def info_path(root: Path, frame_id: int) -> Path:
     """Return the path of a frame's `FrameTruth`."""
-    return root / FOLDER / "info" / f"{frame_id:06d}.json"
+    return Path(info_name(str(root), frame_id))
+
+
+def info_name(root: str, frame_id: int) -> str:
+    """Return `info_path` as text, which is quicker for thousands of frames."""
+    return f"{root}/{FOLDER}/info/{frame_id:06d}.json"
 
 
 def map_paths(root: Path, frame_id: int) -> dict[str, Path]:
@@ -173,10 +179,13 @@ def map_paths(root: Path, frame_id: int) -> dict[str, Path]:
 
 def rendered_frames(scene: Scene) -> list[int]:
     """Return the ids of the frames with finished ground truth, in ascending order."""
-    folder = scene.root / FOLDER / "info"
+    try:
+        names = os.listdir(scene.root / FOLDER / "info")  # noqa: PTH208 - only names
+    except OSError:
+        return []
     known = {f.id for f in scene.frames}
-    found = (int(p.stem) for p in folder.glob("*.json") if p.stem.isdigit())
-    return sorted(i for i in found if i in known)
+    stems = (name.removesuffix(".json") for name in names if name.endswith(".json"))
+    return sorted(i for i in (int(stem) for stem in stems if stem.isdecimal()) if i in known)
 
 
 def read_frame_truth(scene: Scene, frame_id: int) -> FrameTruth:

@@ -3,12 +3,17 @@
 The inputs are object and camera poses, camera intrinsics, meshes and the depth scale.
 """
 
+from collections.abc import Sequence
+from typing import Annotated
+
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.se3 import SE3, rotation_angle
 from std_toolkit.io.documents import digest_of
-from std_toolkit.rendering.ground_truth import FrameTruth
+from std_toolkit.rendering.ground_truth import FrameTruth, info_name, read_frame_truth
 from std_toolkit.rendering.renderer import PlacedMesh
 from std_toolkit.scene.model import pose_from_list
 from std_toolkit.scene.scene import Scene
@@ -86,3 +91,71 @@ def truth_is_current(scene: Scene, truth: FrameTruth) -> bool:
         and rotation_angle(now[i].R.T @ then[i].R) <= _SAME_RAD
         for i in now
     )
+
+
+class _Row(msgspec.Struct):
+    object: int
+    T_cam_obj: Annotated[list[float], msgspec.Meta(min_length=16, max_length=16)]
+
+
+class _Truth(msgspec.Struct):
+    """The part of a `FrameTruth` that tells whether it is current; the rest is not checked."""
+
+    inputs: dict[str, str]
+    objects: list[_Row]
+
+
+_decoder = msgspec.json.Decoder(_Truth)
+
+
+def current_truths(scene: Scene, frames: Sequence[int]) -> int:
+    """Return how many of some rendered frames pass `truth_is_current`, in a tenth of its time.
+
+    Raises:
+        ToolkitError: the record of a frame is damaged.
+    """
+    labels = {label.object: label.T_world_obj for label in scene.labels.labels}
+    placed = {i: np.reshape(T, (4, 4)) for i, T in labels.items() if T is not None}
+    cameras = {p.frame: p.T_world_cam for p in scene.poses.frames} if scene.poses else {}
+    inputs: dict[str, dict[str, str]] = {}
+    found, then, now, folder = 0, [], [], str(scene.root)
+    for frame_id in frames:
+        T_world_cam = cameras.get(frame_id)
+        truth = _read(folder, frame_id)
+        if T_world_cam is None or len(placed) < len(labels) or truth is None:
+            # A pose of this frame alone may count.
+            found += truth_is_current(scene, read_frame_truth(scene, frame_id))
+            continue
+        camera = scene.frame(frame_id).camera
+        if camera not in inputs:
+            inputs[camera] = frame_inputs(scene, frame_id)
+        rows = {row.object: row.T_cam_obj for row in truth.objects}
+        if rows.keys() == placed.keys() and inputs[camera].items() <= truth.inputs.items():
+            then.append([rows[i] for i in placed])
+            now.append(T_world_cam)
+    if now and placed:
+        T_cam_obj = _in_cameras(np.reshape(now, (-1, 1, 4, 4)), np.stack([*placed.values()]))
+        apart = np.abs(T_cam_obj - np.reshape(then, T_cam_obj.shape))
+        # A turn by a small angle changes the entries of a rotation by its square root of two.
+        turned = np.sqrt((apart[..., :3, :3] ** 2).sum((-1, -2)) / 2)
+        same = (apart[..., :3, 3].max(-1) <= _SAME_M) & (turned <= _SAME_RAD)
+        found += int(same.all(1).sum())
+    return found + (len(now) if not placed else 0)
+
+
+def _read(folder: str, frame_id: int) -> _Truth | None:
+    try:
+        with open(info_name(folder, frame_id), "rb") as file:  # noqa: PTH123 - of thousands
+            return _decoder.decode(file.read())
+    except (OSError, ValueError, RecursionError):  # also errors of msgspec
+        return None
+
+
+def _in_cameras(T_world_cam: NDArray[np.float64], T_world_obj: NDArray[np.float64]) -> NDArray:
+    """Return (N, K, 4, 4) T_cam_obj of (N, 1, 4, 4) camera and (K, 4, 4) object poses."""
+    R = np.swapaxes(T_world_cam[..., :3, :3], -1, -2)
+    T = np.zeros((len(T_world_cam), len(T_world_obj), 4, 4))
+    T[..., :3, :3] = R @ T_world_obj[:, :3, :3]
+    T[..., :3, 3:] = R @ (T_world_obj[:, :3, 3:] - T_world_cam[..., :3, 3:])
+    T[..., 3, 3] = 1
+    return T

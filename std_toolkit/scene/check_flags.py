@@ -123,8 +123,27 @@ def scene_fingerprint(scene: Scene) -> str:
     )
 
 
-def read_check_flags(scene: Scene) -> CheckFlags | None:
+def report_is_current(scene: Scene, fingerprint: str = "") -> bool:
+    """Whether the last report belongs to the current labels, camera poses and meshes.
+
+    Reads no image. A report whose record was deleted counts as current.
+
+    Args:
+        scene: the scene.
+        fingerprint: its `scene_fingerprint`, if it is known already.
+    """
+    record = read_record(record_path(scene.root, "check"), Record)
+    if record is None:
+        return True
+    return record.inputs.get(SCENE_INPUT) == (fingerprint or scene_fingerprint(scene))
+
+
+def read_check_flags(scene: Scene, fingerprint: str = "") -> CheckFlags | None:
     """The faults in the report of the last check.
+
+    Args:
+        scene: the scene.
+        fingerprint: its `scene_fingerprint`, if it is known already.
 
     Returns:
         None if there is no report, or labels, camera poses or meshes changed after the check.
@@ -136,7 +155,7 @@ def read_check_flags(scene: Scene) -> CheckFlags | None:
     record = read_record(record_path(scene.root, "check"), Record)
     if not path.is_file() or record is None:
         return None
-    if record.inputs.get(SCENE_INPUT) != scene_fingerprint(scene):
+    if record.inputs.get(SCENE_INPUT) != (fingerprint or scene_fingerprint(scene)):
         return None
     try:
         report = msgspec.json.decode(path.read_bytes(), type=_Report)

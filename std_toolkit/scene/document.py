@@ -71,10 +71,30 @@ def check_pose(numbers: list[float] | None, field: str) -> None:
     Raises:
         ToolkitError: the numbers are not a rigid transform.
     """
-    if numbers is None:
+    if numbers is None or _is_exact(numbers):
         return
     with located(None, field):
         SE3.from_matrix(numbers)
+
+
+def _is_exact(numbers: list[float]) -> bool:
+    """Whether 16 numbers are a pose to 1e-6: quick, because a scene has thousands of them."""
+    if len(numbers) != 16:
+        return False
+    a, b, c, x, d, e, f, y, g, h, i, z, *last = numbers
+    return (
+        last == [0, 0, 0, 1]
+        and math.isfinite(x)
+        and math.isfinite(y)
+        and math.isfinite(z)
+        and abs(a * a + b * b + c * c - 1) < 1e-6
+        and abs(d * d + e * e + f * f - 1) < 1e-6
+        and abs(g * g + h * h + i * i - 1) < 1e-6
+        and abs(a * d + b * e + c * f) < 1e-6
+        and abs(a * g + b * h + c * i) < 1e-6
+        and abs(d * g + e * h + f * i) < 1e-6
+        and a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
+    )
 
 
 def check_unique(values: list[str], table: str, field: str) -> None:

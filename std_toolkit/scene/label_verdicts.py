@@ -8,12 +8,12 @@ fits stricter ones fits them, too.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 
 import msgspec
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import digest_files, digest_of
+from std_toolkit.io.regular import file_sizes
 from std_toolkit.jobs.artefact import Record, read_record, record_path
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.judgement import Grade, Judgement
@@ -115,7 +115,7 @@ def judgement_limits(options: Mapping[str, float] | None = None) -> dict[str, fl
 
 def _subjects(scene: Scene) -> dict[int, str]:
     files = [name for f in scene.frames for name in (f.color, f.depth) if name is not None]
-    sizes = [_size(scene.root / name) for name in files]
+    sizes = file_sizes(scene.root, files)
     frames = digest_of(scene.info, scene.frame_table, scene.poses, sizes)
     models = {m.id: m for m in scene.objects.models}
     meshes = digest_files(scene.root, [scene.mesh_path(m) for m in models.values()])
@@ -124,13 +124,6 @@ def _subjects(scene: Scene) -> dict[int, str]:
         for item in scene.objects.objects
         for model in (models[item.model],)
     }
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return -1
 
 
 def options_of_last_check(scene: Scene) -> CheckOptions:

@@ -29,14 +29,17 @@ Person = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
 Sentence = Annotated[str, msgspec.Meta(max_length=2000)]
 
 
+Verdict = Literal["accepted", "sent back", "noted"]
+
+
 class Review(Document, frozen=True, kw_only=True):
     """What one person said at one time.
 
     Attributes:
         time: when, UTC, ISO 8601.
         by: the reviewer.
-        verdict: "accepted" or "sent back"; "noted" gives reasons only.
-        reason: why the scene was sent back, or "".
+        verdict: "accepted" or "sent back"; "noted" gives reasons or a comment only.
+        reason: why the scene was sent back; of a note, a comment; else "".
         reasons: text by name of the object: why its label is kept although the check doubts it or,
             where the scene is sent back, what is wrong with it.
         labels: digest of each label that was reviewed, by name of the object.
@@ -44,7 +47,7 @@ class Review(Document, frozen=True, kw_only=True):
 
     time: Time
     by: Person
-    verdict: Literal["accepted", "sent back", "noted"]
+    verdict: Verdict
     reason: Sentence = ""
     reasons: dict[str, Sentence] = msgspec.field(default_factory=dict)
     labels: dict[str, str]

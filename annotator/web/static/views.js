@@ -320,7 +320,16 @@ async function lost() {
 
 window.addEventListener("beforeunload", () => { leaving = true; });
 
+// A page that the server sends elsewhere.
+class AnnotatorLeave extends HTMLElement {
+  connectedCallback() {
+    leaving = true;
+    location.assign(new URL(this.dataset.home, document.baseURI));
+  }
+}
+
 const channel = new Channel();
+customElements.define("annotator-leave", AnnotatorLeave);
 customElements.define("annotator-view", AnnotatorView);
 document.addEventListener("keydown", keyPressed);
 document.addEventListener("keyup", (event) => { channel.ctrlHeld = event.ctrlKey; });

@@ -21,6 +21,7 @@ from annotator.qt.question_dialog import QuestionDialog
 from annotator.qt.workspace import Workspace
 from annotator.session import Session
 from std_toolkit.geometry import SE3
+from std_toolkit.project.record import Project
 
 LEFT = Qt.MouseButton.LeftButton
 NO_KEYS = Qt.KeyboardModifier.NoModifier
@@ -33,12 +34,14 @@ class Bench:
         questions: headings of the questions that were answered.
     """
 
-    def __init__(self, qtbot: QtBot, *, annotator: str = "mk") -> None:
+    def __init__(
+        self, qtbot: QtBot, *, annotator: str = "mk", project: Project | None = None
+    ) -> None:
         make_application()
         self.qtbot = qtbot
         self.questions: list[str] = []
         self._left = False
-        self.shell = Shell(annotator=annotator)
+        self.shell = Shell(annotator=annotator, project=project)
         self.shell.resize(1280, 720)
         with qtbot.waitExposed(self.shell):
             self.shell.show()

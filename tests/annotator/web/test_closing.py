@@ -68,7 +68,7 @@ def test_the_scene_is_nobody_else_s_before_its_labels_are_propagated(
 IN_A_CALLBACK = """
 import asyncio, os, signal, sys, time
 from vtkmodules.vtkCommonCore import vtkObject
-from annotator.web.web_app import _until_signal
+from annotator.web.web_app import until_signal
 from std_toolkit.cli.command import exit_status
 
 def callback(caller, event):
@@ -84,7 +84,7 @@ async def serving():
     finally:
         print("closed", flush=True)
 
-sys.exit(exit_status(lambda: asyncio.run(_until_signal(serving())), program="p"))
+sys.exit(exit_status(lambda: asyncio.run(until_signal(serving())), program="p"))
 """
 
 

@@ -10,7 +10,7 @@ import pytest
 from aiohttp import ClientSession, CookieJar, web
 from aiohttp.test_utils import TestServer
 
-from annotator.web.web_app import check_address, guard, is_loopback
+from annotator.web.guard import check_address, guard, is_loopback, opens_to
 from std_toolkit.errors import ToolkitError
 
 TOKEN = "0123456789abcdef"
@@ -25,7 +25,9 @@ def serve(
         return web.Response(text="inside")
 
     async def run() -> Any:
-        app = web.Application(middlewares=[guard(token, loopback=True)])
+        app = web.Application(
+            middlewares=[guard(opens_to(token) if token else None, loopback=True)]
+        )
         app.add_routes([web.get("/", page), web.get("/ws", page)])
         async with (
             TestServer(app, host="127.0.0.1") as server,

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from toy_balls import CAMERA, DISTANCE_M, Toy, arc_pose
 
-from std_toolkit.checks.check_step import report_is_current, run_check
+from std_toolkit.checks.check_step import run_check
 from std_toolkit.checks.result import CheckReport
 from std_toolkit.checks.summary import summarise
 from std_toolkit.cli import main as cli
@@ -25,6 +25,7 @@ from std_toolkit.jobs import JobOptions
 from std_toolkit.options import CheckOptions, RenderOptions
 from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import CameraPoses, FramePose, Frames, Labels, ObjectTable, Scene
+from std_toolkit.scene.check_flags import report_is_current
 from std_toolkit.scene.model import ScaleEstimate, ScaleReport
 
 MakeScene = Callable[[Toy], Scene]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from toy_balls import Toy, write_toy
 
-from std_toolkit.checks.check_step import report_is_current, run_check
+from std_toolkit.checks.check_step import run_check
 from std_toolkit.checks.gates.hypotheses import JudgeSettings
 from std_toolkit.checks.summary import summarise
 from std_toolkit.cli.main import main
@@ -22,7 +22,7 @@ from std_toolkit.labels.propagate import propagate_labels
 from std_toolkit.options import CheckOptions, RenderOptions
 from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene import Label, ObjectTable, Scene, SymmetryModel
-from std_toolkit.scene.check_flags import scene_fingerprint
+from std_toolkit.scene.check_flags import report_is_current, scene_fingerprint
 from std_toolkit.scene.judgement import Judgement
 from std_toolkit.scene.label_verdicts import judgement_inputs, judgement_limits, label_verdicts
 from std_toolkit.scene.model import ContinuousSymmetry

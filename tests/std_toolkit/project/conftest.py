@@ -3,7 +3,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -50,3 +50,23 @@ def killed_at() -> Callable[[str, list[str]], int]:
         return done.returncode
 
     return run
+
+
+@pytest.fixture
+def opened_files() -> Iterator[Callable[[], list[str]]]:
+    """Returns the files that were opened since it was called last, but for locks and folders."""
+    found: list[str] = []
+    watching = [True]
+
+    def hear(event: str, arguments: tuple[object, ...]) -> None:
+        if event == "open" and watching and isinstance(arguments[0], str | os.PathLike):
+            found.append(os.fspath(arguments[0]))
+
+    def since() -> list[str]:
+        told = [path for path in found if not path.endswith("lock") and not Path(path).is_dir()]
+        found.clear()
+        return told
+
+    sys.addaudithook(hear)  # which cannot be removed
+    yield since
+    watching.clear()

@@ -115,6 +115,7 @@ def test_the_board_says_what_each_scene_waits_for(
         "reason": "it fits",
         "annotator": "Ann",
         "minutes": 1.5,
+        "note": "",
     }
     assert main(["project", "status", str(lab.root)]) == 0
     out = capsys.readouterr().out
@@ -139,6 +140,22 @@ def test_a_board_looks_again_where_a_file_changed(lab: Project) -> None:
     assert after == project_board(lab, fresh=True)
     (lab.root / ".std/board.json").write_text("{")
     assert project_board(lab) == after
+
+
+def test_a_board_opens_only_files_of_scenes_that_changed(
+    lab: Project, tmp_path: Path, opened_files: Callable[[], list[str]]
+) -> None:
+    project_board(lab)
+    opened_files()
+    rows = project_board(lab)
+    cache, record = str(lab.root / ".std/board.json"), str(lab.root / "project.json")
+    assert {*opened_files()} <= {cache, record}
+    scene = Scene.open(lab.folder(lab.find("fits")))
+    scene.save_labels(msgspec.structs.replace(scene.labels, labels=[]))
+    opened_files()
+    assert project_board(lab)[1:] == rows[1:]
+    read = {Path(p).relative_to(tmp_path).parts[0] for p in opened_files() if str(tmp_path) in p}
+    assert read == {"fits", "project"}
 
 
 def test_two_hundred_scenes_are_shown_in_two_seconds(rendered: Path, tmp_path: Path) -> None:

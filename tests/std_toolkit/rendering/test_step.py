@@ -28,7 +28,7 @@ from std_toolkit.rendering.ground_truth import (
     rendered_frames,
 )
 from std_toolkit.rendering.maps import object_silhouette
-from std_toolkit.rendering.placements import frame_placements, truth_is_current
+from std_toolkit.rendering.placements import current_truths, frame_placements, truth_is_current
 from std_toolkit.rendering.render_step import render_ground_truth
 from std_toolkit.scene.model import Frames, Labels
 from std_toolkit.scene.scene import Scene
@@ -289,7 +289,7 @@ def test_ground_truth_of_other_inputs_is_not_current(make_scene: MakeScene, chan
     scene = make_scene(frames=1)
     render_ground_truth(scene, MODELS, jobs=SERIAL)
     truth = read_ground_truth(scene, scene.frames[0].id).info
-    assert truth_is_current(scene, truth)
+    assert truth_is_current(scene, truth) and current_truths(scene, [truth.frame]) == 1
     if change == "mesh":
         path = scene.mesh_path(scene.objects.model("ball"))
         trimesh.creation.icosphere(subdivisions=2, radius=0.03).export(path)
@@ -301,7 +301,35 @@ def test_ground_truth_of_other_inputs_is_not_current(make_scene: MakeScene, chan
         scene.save_info(msgspec.structs.replace(scene.info, cameras=cameras))
     else:
         scene.save_info(msgspec.structs.replace(scene.info, depth_correction=0.98))
-    assert not truth_is_current(Scene.open(scene.root), truth)
+    changed = Scene.open(scene.root)
+    assert not truth_is_current(changed, truth) and current_truths(changed, [truth.frame]) == 0
+
+
+@pytest.mark.parametrize(("shift", "turn"), [(0, 0), (9e-7, 0), (2e-6, 0), (0, 9e-7), (0, 2e-6)])
+def test_frames_are_counted_as_each_is_judged(
+    make_scene: MakeScene, shift: float, turn: float
+) -> None:
+    scene = make_scene(frames=3)
+    render_ground_truth(scene, MODELS, jobs=SERIAL)
+    moved = SE3.exp([shift, 0, 0, 0, turn, 0])
+    labels = [
+        msgspec.structs.replace(
+            label,
+            T_world_obj=(SE3.from_matrix(label.T_world_obj) @ moved).matrix().ravel().tolist(),
+        )
+        for label in scene.labels.labels
+    ]
+    scene.save_labels(msgspec.structs.replace(scene.labels, labels=labels))
+    scene = Scene.open(scene.root)
+    frames = [f.id for f in scene.frames]
+    each = sum(truth_is_current(scene, read_ground_truth(scene, i).info) for i in frames)
+    assert current_truths(scene, frames) == each == (0 if max(shift, turn) > 1e-6 else 3)
+    # A label that is not propagated counts in its own frame only.
+    alone = [msgspec.structs.replace(label, T_world_obj=None) for label in labels]
+    scene.save_labels(msgspec.structs.replace(scene.labels, labels=alone))
+    scene = Scene.open(scene.root)
+    each = sum(truth_is_current(scene, read_ground_truth(scene, i).info) for i in frames)
+    assert current_truths(scene, frames) == each < 3
 
 
 @pytest.mark.slow
