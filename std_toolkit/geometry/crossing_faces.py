@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from std_toolkit.arrays import Array, Mask
 from std_toolkit.geometry.ray_caster import RayCaster
 
-# Rounds of the repair, and rounds after which it reaches one more ring of neighbours.
-_ROUNDS, _WIDER_AFTER = 40, 5
+# Rounds of the repair, by neighbours and back, and after which one more ring of neighbours moves.
+_ROUNDS, _WIDER_AFTER = 12, 4
 
 
 def crossing_faces(vertices: Array, faces: NDArray[np.int64]) -> Mask:
@@ -39,26 +39,37 @@ def crossing_faces(vertices: Array, faces: NDArray[np.int64]) -> Mask:
     return crossed | crossing[of_face.reshape(3, len(faces))].any(axis=0)
 
 
-def without_crossings(vertices: Array, faces: NDArray[np.int64]) -> Array:
-    """Vertices (V, 3), those of crossing faces moved to the middle of their neighbours.
+def without_crossings(
+    vertices: Array, faces: NDArray[np.int64], before: Array | None = None
+) -> Array:
+    """Vertices (V, 3), those of crossing faces moved until no face crosses another.
 
-    It is repeated until no face crosses another, each few rounds with one more ring of neighbours;
-    what crosses after the last round stays.
+    They move to the middle of their neighbours, every few rounds with one more ring of them; then
+    back to where they were `before`. What crosses after the last round stays.
 
     Args:
         vertices: (V, 3) metres.
         faces: (F, 3) of a closed mesh.
+        before: (V, 3) vertices of the same faces with which hardly any cross.
     """
     moved = vertices.copy()
-    for n in range(_ROUNDS):
+    back = np.zeros(len(moved), bool)
+    for n in range(2 * _ROUNDS):
         bad = crossing_faces(moved, faces)
         if not bad.any():
             break
         chosen = np.zeros(len(moved), bool)
         chosen[faces[bad]] = True
-        for _ in range(n // _WIDER_AFTER):
+        for _ in range(n % _ROUNDS // _WIDER_AFTER):
             chosen[faces[chosen[faces].any(axis=1)]] = True
-        moved[chosen] = _middles(moved, faces)[chosen]
+        if before is None or n < _ROUNDS:
+            moved[chosen] = _middles(moved, faces)[chosen]
+            continue
+        # What crosses where it was before is smoothed there.
+        again = chosen & back
+        moved[chosen & ~back] = before[chosen & ~back]
+        moved[again] = _middles(moved, faces)[again]
+        back |= chosen
     return moved
 
 
