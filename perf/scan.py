@@ -132,8 +132,8 @@ def compare(
     The alignment begins with `start`, as of `align`; its result (4, 4) takes the scan to the truth.
     """
     import trimesh
-
     from scan_shape import flatness, larger_box
+
     from std_toolkit.geometry.crossing_faces import crossing_faces
     from std_toolkit.geometry.ray_caster import RayCaster
 

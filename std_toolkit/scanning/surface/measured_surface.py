@@ -28,6 +28,7 @@ from std_toolkit.scanning.surface.hollow import hollowed
 from std_toolkit.scanning.surface.mesh_fit import fit_mesh
 from std_toolkit.scanning.surface.plain_tops import levelled
 from std_toolkit.scanning.surface.sensor_depth import ScanDepthSettings, depth_factor, sensor_maps
+from std_toolkit.scanning.surface.skirt import without_skirt
 from std_toolkit.scanning.surface.surface import Fusion, agreeing, closed_mesh, fuse
 from std_toolkit.scanning.surface.underside import flatten_unseen
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
@@ -42,7 +43,7 @@ _COARSE = 0.6
 class DisputeSettings(Settings):
     """Photos whose masks may lack a place."""
 
-    photos_per_gap: int = limit(24, source="a notch of the masks of the real bottle")
+    photos_per_gap: int = limit(20, source="3 of 66 masks of the real bottle have one notch")
     """number of photos for each mask that may lack any place"""
     disputed: int = limit(6, source=NOT_RECORDED)
     """number of photos beyond `few` for each mask that may lack a place that depth maps show"""
@@ -173,8 +174,8 @@ def fused_surface(
     Args:
         options: of the scan.
         sides: each with the motion from its world into that of the first.
-        facts: receives the share of the volume that is opened, and that of the surface that is
-            closed by a plane.
+        facts: receives the shares of the volume that is opened, of the base that is cut, and of
+            the surface that is closed by a plane.
         threads: number of threads.
     """
     views = [replace(v, T_world_cam=T @ v.T_world_cam) for side, T in sides for v in side.views]
@@ -193,6 +194,9 @@ def fused_surface(
     field = fused.field
     if on_table:
         field = levelled(field, fused.support, grid, views, threads=threads)
+        field, cut = without_skirt(field, fused.support, grid)
+        if cut:
+            facts["cut at the foot"] = f"{100 * cut:.0f} % of the base, a film on the table"
     if options.wall_m is not None:
         # The first folder shows the vessel upright.
         field, opened = hollowed(field, hulls[0], grid, sides[0][0].views, options.wall_m)

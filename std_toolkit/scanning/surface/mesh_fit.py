@@ -1,10 +1,10 @@
 """The mesh of a scan as depth maps, outlines and smoothness hold it, by Gauss-Newton steps.
 
-In each step a vertex moves along its normal to minimise the sum of its distance from where the
-depth maps have it, from the outlines on whose rim it is, and of the deviation of its faces from
-filtered normals (Y. Sun et al., "Fast and Effective Feature-Preserving Mesh Denoising", TVCG 2007;
-Y. Zheng et al., "Bilateral Normal Filtering for Mesh Denoising", TVCG 2011). The filter keeps edges.
-Where nothing is measured, the surface goes on evenly from what is around it.
+In each step, vertices move along their normals. The sum of three terms is least: their distances
+from where depth maps have them, from the outlines on whose rim they are, and the deviation of the
+faces from filtered normals (X. Sun et al., "Fast and Effective Feature-Preserving Mesh Denoising",
+TVCG 2007; Y. Zheng et al., "Bilateral Normal Filtering for Mesh Denoising", TVCG 2011). The filter
+keeps edges. Where nothing is measured, the surface goes on evenly from what is around it.
 """
 
 from collections.abc import Sequence
@@ -160,8 +160,9 @@ def _of_faces(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, Array, 
 def _neighbours(faces: NDArray[np.int64], count: int) -> tuple[Array, Array]:
     """Pairs of different faces that have a vertex in common, each in both orders."""
     owner = np.repeat(np.arange(len(faces)), 3)
-    at = coo_matrix((np.ones(len(owner)), (owner, faces.ravel())), shape=(len(faces), count)).tocsr()
-    both = (at @ at.T).tocoo()
+    place = owner, faces.ravel()
+    corners = coo_matrix((np.ones(len(owner)), place), shape=(len(faces), count)).tocsr()
+    both = (corners @ corners.T).tocoo()
     different = both.row != both.col
     return both.row[different], both.col[different]
 

@@ -1,4 +1,4 @@
-"""By how much the vertices of a mesh should move along their normals: by depth maps, by outlines."""
+"""How far vertices of a mesh should move along their normals, by depth maps and by outlines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

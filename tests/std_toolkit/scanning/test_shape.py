@@ -20,7 +20,7 @@ from std_toolkit.scanning.photos.views import Grid
 from std_toolkit.scanning.photos.visibility import hull_depth
 from std_toolkit.scanning.surface.depth_maps import DepthMap
 from std_toolkit.scanning.surface.measured_surface import _hulls
-from std_toolkit.scanning.surface.surface import agreeing, closed_mesh, fuse, is_closed
+from std_toolkit.scanning.surface.surface import agreeing, fuse, is_closed
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views
 
 pytestmark = pytest.mark.slow
