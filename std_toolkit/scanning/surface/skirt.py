@@ -20,7 +20,9 @@ from std_toolkit.settings import Settings, limit
 class SkirtSettings(Settings):
     """What is the skirt of a foot."""
 
-    thickest_m: float = limit(0.003, unit="m", source="2 px of the masks at 0.7 m, seen from 25 deg")
+    thickest_m: float = limit(
+        0.003, unit="m", source="2 px of the masks at 0.7 m, seen from 25 deg"
+    )
     """largest height above the table"""
     on_table_m: float = limit(0.0015, unit="m", source="depth of the bare board is off by less")
     """a film that depth maps measure above this height is a part of the object"""
