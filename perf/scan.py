@@ -13,7 +13,9 @@ Prints one row per scan: accuracy is mesh to truth, completeness truth to mesh, 
 camera saw, after rigid alignment; scale is that of a similarity fitted afterwards. "whole" figures
 are of the whole surface, the side that no camera saw included. Normals are those of the faces,
 unsmoothed, against the nearest face of the truth; "wider" is by how much the longest difference of
-the sides of the upright boxes is too long. Below it are processor seconds of the stages.
+the sides of the upright boxes is too long, "box" the same of the smallest boxes in any orientation;
+"flat" is the RMS of the flat faces of the truth, the worst of them; "crossing" counts faces that
+cross others. Below it are processor seconds of the stages.
 """
 
 from __future__ import annotations
@@ -130,7 +132,9 @@ def compare(
     The alignment begins with `start`, as of `align`; its result (4, 4) takes the scan to the truth.
     """
     import trimesh
+    from scan_shape import flatness, larger_box
 
+    from std_toolkit.geometry.crossing_faces import crossing_faces
     from std_toolkit.geometry.ray_caster import RayCaster
 
     points, normals = seen_points(scan.vertices, scan.faces, scan.views, np.eye(4))
@@ -167,6 +171,9 @@ def compare(
         "normals deg": float(np.median(angle)),
         "normals 90 % deg": float(np.percentile(angle, 90)),
         "wider mm": float(wider[np.abs(wider).argmax()]),
+        "box mm": larger_box(_bare(scan.vertices, scan.faces), truth),
+        "flat mm": flatness(moved, truth),
+        "crossing": float(crossing_faces(scan.vertices, scan.faces).sum()),
     }
     return row, T
 

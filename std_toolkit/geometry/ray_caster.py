@@ -112,6 +112,14 @@ class RayCaster:
         found = self._scene.count_intersections(self._floats(rays), nthreads=self._threads)
         return np.asarray(found.numpy())
 
+    def crossed(
+        self, rays: ArrayLike
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+        """All hits (N,) of rays (R, 6): number of the ray, face, and distance as of `RayHits`."""
+        found = self._scene.list_intersections(self._floats(rays), nthreads=self._threads)
+        ray, face = (found[name].numpy().astype(np.int64) for name in ("ray_ids", "primitive_ids"))
+        return ray, face, found["t_hit"].numpy()
+
     def distance(self, points: ArrayLike) -> NDArray[np.float32]:
         """(...) unsigned distance in metres from points (..., 3) to the nearest triangle."""
         found = self._scene.compute_distance(self._floats(points), nthreads=self._threads)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from std_toolkit import __version__
 from std_toolkit.geometry.camera import pixel_rays
+from std_toolkit.geometry.crossing_faces import crossing_faces
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.html.page import (
     Bullets,
@@ -79,6 +80,7 @@ def write_report(folder: Path, scan: Scan) -> Scan:
         **scan.facts,
         "extent": " x ".join(f"{1000 * x:.1f}" for x in extents) + " mm",
         "faces": len(scan.faces),
+        "crossing faces": int(crossing_faces(scan.vertices, scan.faces).sum()),
         "outline overlap": f"{np.mean(overlaps):.3f} (lowest {np.min(overlaps):.3f})",
         "colour residual": f"{np.median(residuals):.1f} grey values",
         "supported by depth": f"{100 * measured:.0f} % of the surface",

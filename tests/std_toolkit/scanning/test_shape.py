@@ -1,4 +1,4 @@
-"""Hull, closed surface, outline polish and files of a ball of known size."""
+"""Hull, closed surface and files of a ball of known size."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import trimesh
 
 pytest.importorskip("manifold3d")
 
-from std_toolkit.geometry import SE3
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.scanning.masks.hull import hull_field, surface_of
@@ -21,8 +20,7 @@ from std_toolkit.scanning.photos.views import Grid
 from std_toolkit.scanning.photos.visibility import hull_depth
 from std_toolkit.scanning.surface.depth_maps import DepthMap
 from std_toolkit.scanning.surface.measured_surface import _hulls
-from std_toolkit.scanning.surface.polish import averaging, fit_outlines
-from std_toolkit.scanning.surface.surface import agreeing, closed_mesh, fuse, is_closed
+from std_toolkit.scanning.surface.surface import agreeing, fuse, is_closed
 from tests.std_toolkit.scanning.ball import CENTRE, RADIUS, ball_views
 
 pytestmark = pytest.mark.slow
@@ -48,31 +46,6 @@ def test_one_bad_mask_cuts_the_hull_unless_it_may_be_contradicted() -> None:
     assert not (hull_field(views, grid) < 0).any()
     inside = hull_field(views, grid, allowed=1) < 0
     assert inside.sum() * grid.step**3 == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.15)
-
-
-def test_a_shrunk_mesh_grows_back_to_the_outlines() -> None:
-    views = ball_views(16)
-    grid = Grid.around(CENTRE - 0.05, CENTRE + 0.05, 0.003)
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
-    away = np.linalg.norm(grid.points(index.reshape(-1, 3)) - CENTRE, axis=1)
-    field = (away - (RADIUS - 0.0015)).reshape(grid.shape).astype(np.float32)
-    vertices, faces = closed_mesh(field, grid, 2000)
-    average = averaging(faces, len(vertices))
-    fitted = fit_outlines(vertices, faces, views, np.zeros(len(vertices)), average=average)
-    side = np.abs(vertices[:, 2] - CENTRE[2]) < 0.02
-
-    def off(v: np.ndarray) -> float:
-        return float(np.abs(np.linalg.norm(v[side] - CENTRE, axis=1) - RADIUS).mean())
-
-    assert off(fitted) < 0.35 * off(vertices)
-    assert is_closed(fitted, faces)
-    held = fit_outlines(vertices, faces, views, np.full(len(vertices), 99.0), average=average)
-    assert off(held) > 0.8 * off(vertices)
-    floor = SE3(np.eye(3), np.array([0, 0, 0.03]))
-    cut = fit_outlines(
-        vertices, faces, views, np.zeros(len(vertices)), average=average, floors=[floor]
-    )
-    assert cut[:, 2].min() == 0.03
 
 
 def test_depth_maps_outvote_the_masks_of_few_photos() -> None:
@@ -115,7 +88,7 @@ def test_only_many_photos_are_contradicted(photos: int, filled: bool) -> None:
     cut[:, 80:] = False
     views = [*views[:3], views[3].with_mask(cut), *views[4:]]
     if photos > 40:
-        views[5] = views[5].with_mask(cut)
+        views = [v.with_mask(cut) if n in (5, 7) else v for n, v in enumerate(views)]
     grid = Grid.around(CENTRE - RADIUS, CENTRE + RADIUS, 0.004)
     hull, disputed = _hulls(views, grid, [], 1)
     ball = 4 / 3 * np.pi * RADIUS**3 / grid.step**3
