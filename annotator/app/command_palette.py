@@ -27,7 +27,7 @@ class Command:
         title: what it does, such as "Select mug_3".
         where: menu of an action, such as "Object/Flip".
         keys: of an action, as Qt writes them.
-        tip: of an action, its description.
+        tip: description of an action, file of a frame.
         problem: why it cannot be run now, or "".
     """
 
@@ -93,7 +93,7 @@ def _all(c: Controller) -> Iterator[Command]:
     for frame in c.session.scene.frames:
         shown = "it is in the main view" if frame.id == c.frame else ""
         yield Command(
-            "frame", str(frame.id), f"Frame {frame.id}", f"Frames/{frame.name}", problem=shown
+            "frame", str(frame.id), f"Frame {frame.id}", "Frames", tip=frame.name, problem=shown
         )
 
 

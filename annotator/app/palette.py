@@ -157,10 +157,13 @@ _VUETIFY = {
 
 
 def style_sheet() -> str:
-    """Return both palettes as variables of a style sheet, chosen by `data-theme` of the page."""
+    """Return both palettes as variables of a style sheet; `data-theme` of the page chooses."""
     return "\n".join(
-        _rules(f":root[data-theme={name}]", palette, name)
-        for name, palette in (("dark", DARK), ("light", LIGHT))
+        _rules(root, palette, name)
+        for root, palette, name in (
+            (":root", DARK, "dark"),
+            (":root[data-theme=light]", LIGHT, "light"),
+        )
     )
 
 

@@ -98,8 +98,6 @@ class Workspace(QWidget):
         self.split.setChildrenCollapsible(False)
         for split in (self.side, self.split):
             split.setHandleWidth(4)
-        theme.look.changed.connect(self._fit_text)
-        self._fit_text()
         # Until the user moves a splitter, each panel gets its preferred size.
         self._shared = True
         known = settings.restore_splitters(self.splitters)
@@ -122,6 +120,8 @@ class Workspace(QWidget):
         # The card changes its height with what it says.
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self._share_side)
+        theme.look.changed.connect(self._fit_text)
+        self._fit_text()
         self._unsubscribe = controller.subscribe(self._on_event)
 
     @property
@@ -152,6 +152,7 @@ class Workspace(QWidget):
 
     def _fit_text(self) -> None:
         self.side.setMinimumWidth(round((SIDE_WIDTH - 40) * theme.look.text / 100))
+        self._soon.start()
 
     def _keep_side(self) -> None:
         self._shared = False
