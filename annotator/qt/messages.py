@@ -187,7 +187,14 @@ class Message(QtWidgets.QFrame):
         self.setObjectName("message")
         theme.mark(self, "level", level)
         sign = QtWidgets.QLabel()
-        sign.setPixmap(pixmap(level, 16, theme.look.palette.level(level), self.devicePixelRatioF()))
+        sign.setPixmap(
+            pixmap(
+                level,
+                round(0.16 * theme.look.text),
+                theme.look.palette.level(level),
+                self.devicePixelRatioF(),
+            )
+        )
         label = QtWidgets.QLabel(self.text)
         label.setTextFormat(Qt.TextFormat.PlainText)
         label.setWordWrap(True)

@@ -32,12 +32,7 @@ function change(wanted) {
   } catch {
     // A private window may have no storage: then it is forgotten with the page.
   }
-  // Put behind a field that is to have the focus once it is shown.
-customElements.define("annotator-focus", class extends HTMLElement {
-  connectedCallback() { this.previousElementSibling.focus(); }
-});
-
-show();
+  show();
   tell();
 }
 
