@@ -22,7 +22,8 @@ class Action:
         tip: description in one sentence.
         run: executes the action.
         checked: for switches: returns whether it is on.
-        enabled: returns whether the action is available now.
+        problem: returns why the action is not available now, such as "no object is selected"; ""
+            if it is.
         repeats: whether holding the key repeats the action.
         group: entries of one group are adjacent in the menu; a group whose name starts with a
             capital letter is a submenu of that name.
@@ -37,11 +38,15 @@ class Action:
     tip: str
     run: Callable[[Controller], Any]
     checked: Callable[[Controller], bool] | None = None
-    enabled: Callable[[Controller], bool] = lambda _: True
+    problem: Callable[[Controller], str] = lambda _: ""
     repeats: bool = False
     group: str = ""
     label: Callable[[Controller], str] | None = None
     asks: str = ""
+
+    def enabled(self, c: Controller) -> bool:
+        """Whether the action is available now."""
+        return not self.problem(c)
 
     @property
     def submenu(self) -> str:
@@ -56,38 +61,55 @@ def dialog_action(
     keys: tuple[str, ...],
     tip: str,
     *,
-    enabled: Callable[[Controller], bool] = lambda _: True,
+    checked: Callable[[Controller], bool] | None = None,
+    problem: Callable[[Controller], str] = lambda _: "",
     group: str = "",
 ) -> Action:
     """Return an action that opens the front end's dialog of its name."""
     return Action(
-        id, menu, title, keys, tip, lambda c: c.ask(id), enabled=enabled, group=group, asks=id
+        id, menu, title, keys, tip, lambda c: c.ask(id), checked, problem, group=group, asks=id
     )
 
 
-def has_selected(c: Controller) -> bool:
-    """Whether an object is selected and can be edited."""
-    return c.selected is not None and c.session.writable
+# Why an action is not available: "" if it is.
 
 
-def has_placed(c: Controller) -> bool:
-    """Whether the selected object has a pose in the frame of the active view."""
-    return has_selected(c) and c.session.pose(str(c.selected), c.active_frame) is not None
+def read_only(c: Controller) -> str:
+    """Say that the scene cannot be changed."""
+    return "" if c.session.writable else "the scene is read-only"
 
 
-def is_idle(c: Controller) -> bool:
-    """Whether no computation is running."""
-    return c.task is None
+def none_selected(c: Controller) -> str:
+    """Say that there is no selected object that can be edited."""
+    return read_only(c) or ("" if c.selected is not None else "no object is selected")
 
 
-def can_queue(c: Controller) -> bool:
-    """Whether the selected object has a pose, and a computation can start or wait for its turn."""
-    return has_placed(c) and (c.task is None or not c.task.alone)
+def not_placed(c: Controller) -> str:
+    """Say that the selected object has no pose in the frame of the active view."""
+    problem = none_selected(c)
+    if not problem and c.session.pose(str(c.selected), c.active_frame) is None:
+        problem = f"{c.selected} has no pose in frame {c.active_frame}"
+    return problem
 
 
-def can_compute(c: Controller) -> bool:
-    """Whether the selected object has a pose and no computation is running."""
-    return has_placed(c) and is_idle(c)
+def busy(c: Controller) -> str:
+    """Say which computation is running."""
+    return "" if c.task is None else f"{c.task.title} is still running"
+
+
+def blocked(c: Controller) -> str:
+    """Say which computation is running that others cannot wait for."""
+    return busy(c) if c.task is not None and c.task.alone else ""
+
+
+def cannot_queue(c: Controller) -> str:
+    """Say why no computation on the selected object can start or wait for its turn."""
+    return not_placed(c) or blocked(c)
+
+
+def cannot_compute(c: Controller) -> str:
+    """Say why no computation on the selected object can start."""
+    return not_placed(c) or busy(c)
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,7 @@ class Controller:
         pending_point: (x, y, z) clicked on the mesh whose pixel is not clicked yet; metres.
         findings: what is known of the objects' poses; `residuals`, `ranks`, `textures`,
             `weak_directions` and `unmeasured` are its own.
+        light: whether the window has its light theme; each browser has its own.
         dialogs: names of the dialogs of the front end; see `Action.asks`.
         mesh_folder: folder whose meshes are in the library, or None.
         mesh_to_place: mesh of the folder that the dialog "place_mesh" adds to the scene.
@@ -84,6 +85,7 @@ class Controller:
         self.textures = self.findings.textures
         self.weak_directions = self.findings.weak_directions
         self.unmeasured = self.findings.unmeasured
+        self.light = False
         self.dialogs: frozenset[str] = frozenset()
         self.mesh_folder: MeshFolder | None = None
         self.mesh_to_place: MeshToPlace | None = None

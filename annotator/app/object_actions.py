@@ -23,7 +23,7 @@ def _step(
         keys,
         tip,
         lambda c: c.nudge(**amount),
-        enabled=action.has_placed,
+        problem=action.not_placed,
         repeats=True,
         group="Step",
     )
@@ -37,7 +37,7 @@ def _yaw(way: str, sign: int, key: str) -> action.Action:
         (key,),
         f"One step about the table's normal: the near side of the object moves to the {way}.",
         lambda c: c.yaw(sign),
-        enabled=action.has_placed,
+        problem=action.not_placed,
         repeats=True,
         group="Step",
     )
@@ -83,7 +83,7 @@ def _set_material(material: Material, tip: str) -> action.Action:
         tip,
         lambda c: c.apply(ChangeObject(object=str(c.selected), material=material)),
         lambda c: c.selected is not None and c.session.object(c.selected).material == material,
-        action.has_selected,
+        action.none_selected,
         group="Material",
     )
 
@@ -159,7 +159,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
             f"Turn the object by 180 degrees about its own {axis} axis, such as a mug whose handle "
             "is on the wrong side.",
             lambda c, i=i: c.flip(i),  # type: ignore[misc]
-            enabled=action.has_placed,
+            problem=action.not_placed,
             group="Flip",
         )
         for i, axis in enumerate("xyz")
@@ -173,7 +173,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
             f"Turn the object by 90 degrees about its own {axis} axis, such as one that was "
             "dropped lying instead of standing.",
             lambda c, i=i: c.flip(i, 90.0),  # type: ignore[misc]
-            enabled=action.has_placed,
+            problem=action.not_placed,
             group="Flip",
         )
         for i, axis in enumerate("xyz")
@@ -186,7 +186,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         "Mark the selected object as done, or as open again; asks if it is not known to fit.",
         pose_checks.toggle_done,
         lambda c: c.selected is not None and c.session.object(c.selected).status == "done",
-        action.has_placed,
+        action.not_placed,
         group="state",
     ),
     _set_material("raw", "The object's own, diffuse surface: the depth sensor is trusted on it."),
@@ -199,7 +199,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         "Rename...",
         ("F2",),
         "Give the selected object another name.",
-        enabled=action.has_selected,
+        problem=action.none_selected,
         group="state",
     ),
     action.dialog_action(
@@ -208,7 +208,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         "Note...",
         ("F3",),
         "Write down what is to be looked at again.",
-        enabled=action.has_selected,
+        problem=action.none_selected,
         group="state",
     ),
     action.dialog_action(
@@ -217,7 +217,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         "Symmetry...",
         ("F4",),
         "Tell which turns of the mesh look the same: refining and comparing take it into account.",
-        enabled=action.has_selected,
+        problem=action.none_selected,
         group="state",
     ),
     action.Action(
@@ -227,7 +227,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         ("Del",),
         "Take the object's pose away; the object stays in the list.",
         operations.unplace,
-        enabled=action.has_placed,
+        problem=action.not_placed,
         group="remove",
     ),
     action.Action(
@@ -237,15 +237,17 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         ("Shift+Del",),
         "Take the object off the list, with its pose and points; the mesh stays in the library.",
         lambda c: c.apply(RemoveObject(object=str(c.selected))),
-        enabled=action.has_selected,
+        problem=action.none_selected,
         group="remove",
     ),
 )
 
 
-def _has_points(c: Controller) -> bool:
-    """Whether the selected object has clicked points in the frame of the active view."""
-    return bool(c.session.object(str(c.selected)).clicks.get(c.active_frame))
+def _no_points(c: Controller) -> str:
+    """Say that the selected object has no clicked points in the frame of the active view."""
+    if c.clicking or c.session.object(str(c.selected)).clicks.get(c.active_frame):
+        return ""
+    return f"no points of {c.selected} are clicked in frame {c.active_frame}"
 
 
 ALIGN_ACTIONS: tuple[action.Action, ...] = (
@@ -257,7 +259,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Fit the selected object: to the sensor depth and the image edges where it is opaque, to "
         "the edges in several frames where the sensor cannot see it.",
         operations.refine,
-        enabled=action.can_queue,
+        problem=action.cannot_queue,
     ),
     action.Action(
         "refine_all",
@@ -266,10 +268,10 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         ("Ctrl+R",),
         "Fit all placed objects together.",
         lambda c: operations.refine(c, all_objects=True),
-        enabled=lambda c: (
-            c.session.writable
-            and (c.task is None or not c.task.alone)
-            and bool(c.session.state.objects)
+        problem=lambda c: (
+            action.read_only(c)
+            or action.blocked(c)
+            or ("" if c.session.state.objects else "there are no objects yet")
         ),
     ),
     action.Action(
@@ -279,7 +281,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         ("S",),
         "Move the object along the table's normal until it touches the table.",
         lambda c: operations.snap(c, "drop"),
-        enabled=action.can_compute,
+        problem=action.cannot_compute,
     ),
     action.Action(
         "rest",
@@ -288,7 +290,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         ("Shift+S",),
         "Turn the object so that it rests on its nearest side, and drop it onto the table.",
         lambda c: operations.snap(c, "rest"),
-        enabled=action.can_compute,
+        problem=action.cannot_compute,
     ),
     action.Action(
         "take_turn",
@@ -297,7 +299,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         ("Y",),
         "Turn the object to where its texture fits better, or scores higher.",
         pose_checks.take_turn,
-        enabled=pose_checks.can_take_turn,
+        problem=pose_checks.no_turn,
     ),
     action.Action(
         "clicking",
@@ -307,7 +309,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Click a point on the mesh, then the same point in the image; four or more give a pose.",
         lambda c: c.set_tool(clicking=not c.clicking),
         lambda c: c.clicking,
-        action.has_selected,
+        action.none_selected,
     ),
     action.Action(
         "solve_points",
@@ -316,9 +318,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         ("Return",),
         "Compute the pose from the clicked points (PnP) and show each point's residual.",
         operations.solve_points,
-        enabled=lambda c: (
-            action.has_selected(c) and action.is_idle(c) and (c.clicking or _has_points(c))
-        ),
+        problem=lambda c: action.none_selected(c) or action.busy(c) or _no_points(c),
     ),
     action.Action(
         "residuals",
@@ -327,6 +327,6 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         ("M",),
         "Compare the selected object with the image edges and the depth in the shown frames.",
         operations.measure_residuals,
-        enabled=action.can_compute,
+        problem=action.cannot_compute,
     ),
 )

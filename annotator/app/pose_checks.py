@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+from annotator.app.action import not_placed
 from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
@@ -284,22 +285,18 @@ class ScriptDoubt:
         return doubt(session, name, judge=self.judge)
 
 
-def can_take_turn(c: Controller) -> bool:
-    """Whether the texture of the selected object fits better, or scores higher, after a turn."""
+def no_turn(c: Controller) -> str:
+    """Say why no turn can be taken after which the texture fits better, or scores higher."""
     found = c.textures.get(c.selected or "")
-    return (
-        found is not None
-        and can_turn(found)
-        and c.session.writable
-        and c.session.pose(str(c.selected), c.active_frame) is not None
-    )
+    known = found is not None and can_turn(found)
+    return not_placed(c) or ("" if known else "no turn is known that fits better")
 
 
 def take_turn(c: Controller) -> None:
     """Turn the selected object to where its texture fits better, as one edit; see
-    `can_take_turn`.
+    `no_turn`.
     """
-    if not can_take_turn(c):
+    if no_turn(c):
         return
     name, frame = str(c.selected), c.active_frame
     pose, found = c.session.pose(name, frame), c.textures[name]

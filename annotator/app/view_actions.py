@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from annotator.app import operations
-from annotator.app.action import Action, dialog_action, has_placed, is_idle
+from annotator.app.action import Action, busy, dialog_action, not_placed, read_only
 from annotator.app.view_options import CloudSource, Mode, Style
 
 if TYPE_CHECKING:
@@ -63,6 +63,10 @@ def _toggle_table(c: Controller) -> None:
 
 def _opacity(c: Controller, by: float) -> None:
     c.set_options(opacity=round(min(max(c.options.opacity + by, 0.1), 1.0), 2))
+
+
+def _no_camera_poses(c: Controller) -> str:
+    return "" if c.session.posed else "the scene has no camera poses"
 
 
 VIEW_ACTIONS: tuple[Action, ...] = (
@@ -133,7 +137,7 @@ VIEW_ACTIONS: tuple[Action, ...] = (
             cloud=CloudSource.FRAME if c.options.cloud is CloudSource.FUSED else CloudSource.FUSED
         ),
         lambda c: c.options.cloud is CloudSource.FUSED,
-        lambda c: c.session.posed,
+        _no_camera_poses,
         group="cloud",
     ),
     Action(
@@ -178,8 +182,33 @@ VIEW_ACTIONS: tuple[Action, ...] = (
         ("Space",),
         "Bring the selected object close in every view.",
         operations.zoom_to_object,
-        enabled=has_placed,
+        problem=not_placed,
         group="look",
+    ),
+    dialog_action(
+        "light_theme",
+        "View",
+        "Light theme",
+        (),
+        "Dark words on light panels. Images and clouds keep their dark background.",
+        checked=lambda c: c.light,
+        group="theme",
+    ),
+    dialog_action(
+        "larger_text",
+        "View",
+        "Larger text",
+        ("Ctrl++", "Ctrl+="),
+        "Larger words in all panels, in steps up to one and a half times.",
+        group="theme",
+    ),
+    dialog_action(
+        "smaller_text",
+        "View",
+        "Smaller text",
+        ("Ctrl+-",),
+        "Smaller words in all panels.",
+        group="theme",
     ),
 )
 
@@ -202,7 +231,7 @@ def _swap(view: int) -> Action:
         (f"Ctrl+{view}",),
         "Look at the frame of a side view in the main view; the main one goes to the side.",
         lambda c: c.swap_into_main(view),
-        enabled=lambda c: view < len(c.view_frames),
+        problem=lambda c: "" if view < len(c.view_frames) else "there is no such side view",
         group="swap",
     )
 
@@ -222,7 +251,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         "Add mesh...",
         ("Ctrl+M",),
         "Copy a CAD mesh (OBJ, PLY, GLB, STL, OFF) into the scene's mesh library.",
-        enabled=lambda c: c.session.writable,
+        problem=read_only,
         group="mesh",
     ),
     Action(
@@ -232,7 +261,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         ("Ctrl+S",),
         "Write the labels into the scene. Edits are journalled all the time: a crash loses none.",
         operations.save,
-        enabled=lambda c: c.session.writable,
+        problem=read_only,
         group="save",
     ),
     dialog_action(
@@ -241,7 +270,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         "Save and propagate...",
         ("Ctrl+P",),
         "Save, then carry every label to all frames.",
-        enabled=lambda c: c.session.writable and c.session.posed and is_idle(c),
+        problem=lambda c: read_only(c) or _no_camera_poses(c) or busy(c),
         group="save",
     ),
     dialog_action("close", "File", "Close", ("Ctrl+Q",), "Leave; no edit is lost.", group="close"),
@@ -252,7 +281,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         ("Ctrl+Z",),
         "Take the last edit back; there is no limit.",
         lambda c: c.undo(),
-        enabled=lambda c: c.can_undo,
+        problem=lambda c: "" if c.can_undo else "there is no edit to take back",
         label=_undo_label,
     ),
     Action(
@@ -262,7 +291,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         ("Ctrl+Shift+Z", "Ctrl+Y"),
         "Make the edit again that was taken back.",
         lambda c: c.redo(),
-        enabled=lambda c: c.session.redoable is not None,
+        problem=lambda c: "" if c.session.redoable is not None else "no edit was taken back",
         label=_redo_label,
     ),
     Action(
@@ -301,6 +330,13 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         lambda c: c.show_frame(c.session.scene.frames[0].id),
     ),
     *(_swap(view) for view in (1, 2, 3)),
+    dialog_action(
+        "commands",
+        "Help",
+        "Find a command...",
+        ("Ctrl+Shift+P", "Ctrl+K"),
+        "List all commands, objects and frames by name; type to filter, Return runs.",
+    ),
     dialog_action(
         "shortcuts",
         "Help",

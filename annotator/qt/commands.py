@@ -159,6 +159,7 @@ class OpacitySlider(panel.Panel):
     def __init__(self, controller: Controller) -> None:
         super().__init__(controller)
         self.slider = QtWidgets.QSlider(Qt.Orientation.Horizontal)
+        self.slider.setAccessibleName("Opacity")
         self.slider.setRange(10, 100)
         self.slider.setFixedWidth(72)
         self.setFixedWidth(80)
@@ -199,8 +200,10 @@ class ActionBar(QtWidgets.QToolBar):
                 widget = self.opacity if id == "opacity" else self._button(commands, id)
                 self.addWidget(widget)
         self._needed = self.sizeHint().width()
+        theme.look.changed.connect(self._fit_text)
 
     def close_panel(self) -> None:
+        theme.look.changed.disconnect(self._fit_text)
         self.opacity.close_panel()
 
     def _button(self, commands: Commands, id: str) -> QtWidgets.QToolButton:
@@ -214,13 +217,19 @@ class ActionBar(QtWidgets.QToolBar):
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Show icons only if the names do not fit."""
+        self._show_names(self.width() >= self._needed)
+        super().resizeEvent(event)
+
+    def _show_names(self, shown: bool) -> None:
         style = Qt.ToolButtonStyle
-        wanted = style.ToolButtonTextBesideIcon
-        if self.width() < self._needed:
-            wanted = style.ToolButtonIconOnly
+        wanted = style.ToolButtonTextBesideIcon if shown else style.ToolButtonIconOnly
         for button in self._labelled:
             button.setToolButtonStyle(wanted)
-        super().resizeEvent(event)
+
+    def _fit_text(self) -> None:
+        self._show_names(True)
+        self._needed = self.sizeHint().width()
+        self._show_names(self.width() >= self._needed)
 
 
 def _line() -> QtWidgets.QWidget:

@@ -28,7 +28,7 @@ class EvidencePanel(Panel):
         self.name = label("muted")
         self.reason = QtWidgets.QLabel()
         self.weak = QtWidgets.QLabel()
-        self.weak.setStyleSheet(f"color: {theme.WARNING}")
+        theme.set_ink(self.weak, "warning")
         self.rows: list[EvidenceRow] = []
         self.buttons: dict[str, QtWidgets.QPushButton] = {}
         top = QtWidgets.QHBoxLayout()
@@ -55,6 +55,9 @@ class EvidencePanel(Panel):
         layout.addWidget(card)
         self.follow()
 
+    def fit_text(self) -> None:
+        self.rows = []  # the grid keeps the size of its labels otherwise
+
     def refresh(self) -> None:
         c = self._controller
         card = None if c.clicking else evidence_card(c)
@@ -62,7 +65,7 @@ class EvidencePanel(Panel):
         if card is None:
             return
         self.word.setText(card.word)
-        self.word.setStyleSheet(f"color: {theme.GRADE_INK[card.word]}")
+        theme.set_ink(self.word, card.word)
         self.word.setAccessibleName(f"Verdict on {card.name}: {card.word}")
         self.name.setText(card.name)
         self.reason.setText(card.reason)
@@ -82,7 +85,7 @@ class EvidencePanel(Panel):
         for row in self.rows:
             self._grid.addWidget(label("muted", row.source), line, 0)
             value = QtWidgets.QLabel(row.text)
-            value.setStyleSheet(f"color: {theme.GRADE_INK[row.grade]}")
+            theme.set_ink(value, row.grade)
             value.setWordWrap(True)
             value.setToolTip(row.tip)
             self._grid.addWidget(value, line, 1)

@@ -54,7 +54,7 @@ class FrameStrip(QWidget):
         cell = groove.width() / max(self.count, 1)
         for first, last in self.marks.runs:
             run = QRectF(8 + first * cell, 10, (last + 1 - first) * cell, 6)
-            painter.fillRect(run, QColor("#5a5a5a"))
+            painter.fillRect(run, QColor(theme.FAINT))
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         for index in self.marks.placed:
             painter.setBrush(QColor(theme.GOOD))
@@ -112,9 +112,11 @@ class FrameBar(Panel):
         self._ids = [f.id for f in controller.session.scene.frames]
         self._place = {id: i for i, id in enumerate(self._ids)}
         self.strip = FrameStrip()
+        self.strip.setAccessibleName("Frames")
         self.strip.count = len(self._ids)
         self.strip.chosen.connect(self._choose)
         self.number = QSpinBox()
+        self.number.setAccessibleName("Frame in the main view")
         self.number.setRange(self._ids[0], self._ids[-1])
         self.number.setKeyboardTracking(False)
         self.number.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
@@ -156,7 +158,7 @@ class FrameBar(Panel):
         text = f"{strip.at + 1} of {strip.count} · {c.session.scene.frame(c.frame).name}{known}"
         if text != self.label.text():
             self.label.setText(text)
-            self.label.setStyleSheet(f"color: {theme.WARNING}" if known else "")
+            theme.set_ink(self.label, "warning" if known else "muted")
 
     def _choose(self, index: int) -> None:
         self._wanted = self._ids[index]

@@ -42,6 +42,7 @@ class LibraryPanel(Panel):
         self._icons: dict[str, QIcon] = {}
         self._thumbnails: Thumbnails | None = None
         self.list = _Meshes()
+        self.list.setAccessibleName("Mesh library")
         self.list.itemDoubleClicked.connect(
             lambda item: add_object(controller, item.data(Qt.ItemDataRole.UserRole))
         )
@@ -66,6 +67,9 @@ class LibraryPanel(Panel):
         if self._thumbnails is not None:
             self._thumbnails.close()
 
+    def fit_text(self) -> None:
+        self.list.fit_text()
+
     def refresh(self) -> None:
         """Show the current meshes of the session."""
         c = self._controller
@@ -77,7 +81,6 @@ class LibraryPanel(Panel):
             self.list.clear()
             for name in described:
                 item = QtWidgets.QListWidgetItem(name)
-                # Equal sizes, so that long names do not displace other items.
                 item.setSizeHint(self.list.gridSize())
                 item.setData(Qt.ItemDataRole.UserRole, name)
                 self.list.addItem(item)
@@ -117,10 +120,6 @@ class _Meshes(QtWidgets.QListWidget):
         super().__init__()
         self.setViewMode(QtWidgets.QListWidget.ViewMode.IconMode)
         self.setIconSize(QSize(THUMBNAIL, THUMBNAIL))
-        line = self.fontMetrics().height()
-        # Names have two lines.
-        self.setGridSize(QSize(THUMBNAIL + 26, THUMBNAIL + 2 * line + 10))
-        self.setMinimumHeight(THUMBNAIL + 2 * line + 18)
         self.setWordWrap(True)
         self.setItemDelegate(_Names(self))
         self.setResizeMode(QtWidgets.QListWidget.ResizeMode.Adjust)
@@ -129,6 +128,14 @@ class _Meshes(QtWidgets.QListWidget):
         self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         self.setVerticalScrollMode(QtWidgets.QListWidget.ScrollMode.ScrollPerPixel)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+
+    def fit_text(self) -> None:
+        """Make room for names of two lines; equal sizes, so that long names displace no others."""
+        line = self.fontMetrics().height()
+        self.setGridSize(QSize(THUMBNAIL + 2 * line - 4, THUMBNAIL + 2 * line + 10))
+        self.setMinimumHeight(THUMBNAIL + 2 * line + 18)
+        for i in range(self.count()):
+            self.item(i).setSizeHint(self.gridSize())
 
     def mimeTypes(self) -> list[str]:
         return [MODEL_MIME]

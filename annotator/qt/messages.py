@@ -36,7 +36,8 @@ class StatusLine(Panel):
         self.progress = QtWidgets.QProgressBar()
         self.progress.setFixedWidth(120)
         self.progress.setTextVisible(False)
-        self.cancel = tool_button()
+        self.progress.setAccessibleName("Progress")
+        self.cancel = tool_button(name="Cancel")
         self.cancel.setIcon(icon("close"))
         self.cancel.setIconSize(QSize(12, 12))
         self.cancel.setToolTip("<b>Cancel</b> Esc<br>Stop; nothing is changed.")
@@ -51,8 +52,6 @@ class StatusLine(Panel):
         row.addWidget(self.cancel)
         row.addSpacing(8)
         row.addWidget(self.saved)
-        # Changes of its content must not resize the views above.
-        self.setFixedHeight(self.cancel.sizeHint().height() + 4)
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self.refresh)
         self._watch = QTimer(self, interval=150)
@@ -63,6 +62,11 @@ class StatusLine(Panel):
         super().close_panel()
         self._soon.stop()
         self._watch.stop()
+
+    def fit_text(self) -> None:
+        # Changes of its content must not resize the views above.
+        needed = max(self.cancel.sizeHint().height(), self.fontMetrics().height() + 4)
+        self.setFixedHeight(needed + 4)
 
     def refresh(self) -> None:
         c = self._controller
@@ -75,18 +79,18 @@ class StatusLine(Panel):
             self._watch.start()
         session = c.session
         if not session.writable:
-            text, ink, tip = "read-only", theme.WARNING, "This scene cannot be changed."
+            text, ink, tip = "read-only", "warning", "This scene cannot be changed."
         elif session.unsaved:
-            text, ink = "● not saved, journalled", theme.WARNING
+            text, ink = "● not saved, journalled", "warning"
             tip = (
                 "Every edit is already in the scene's journal: a crash loses none. "
                 "Save (Ctrl+S) writes the labels."
             )
         else:
-            text, ink, tip = "saved", theme.MUTED, "The labels in the scene are up to date."
+            text, ink, tip = "saved", "muted", "The labels in the scene are up to date."
         if text != self.saved.text():
             self.saved.setText(text)
-            self.saved.setStyleSheet(f"color: {ink}")
+            theme.set_ink(self.saved, ink)
             self.saved.setToolTip(tip)
 
     def _show_progress(self) -> None:
@@ -181,17 +185,21 @@ class Message(QtWidgets.QFrame):
         super().__init__()
         self.notice, self.text, level = notice, notice.text, notice.level
         self.setObjectName("message")
-        self.setStyleSheet(
-            f"QFrame#message {{ background: {theme.RAISED}; border: 1px solid {theme.BORDER};"
-            f" border-left: 3px solid {theme.LEVEL_INK[level]}; }}"
-        )
+        theme.mark(self, "level", level)
         sign = QtWidgets.QLabel()
-        sign.setPixmap(pixmap(level, 16, theme.LEVEL_INK[level], self.devicePixelRatioF()))
+        sign.setPixmap(
+            pixmap(
+                level,
+                round(0.16 * theme.look.text),
+                theme.look.palette.level(level),
+                self.devicePixelRatioF(),
+            )
+        )
         label = QtWidgets.QLabel(self.text)
         label.setTextFormat(Qt.TextFormat.PlainText)
         label.setWordWrap(True)
         label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.close_button = tool_button()
+        self.close_button = tool_button(name="Close this message")
         self.close_button.setIcon(icon("close", theme.MUTED))
         self.close_button.setToolTip("Close this message")
         row = QtWidgets.QHBoxLayout(self)

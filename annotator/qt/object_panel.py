@@ -47,12 +47,8 @@ Index = QModelIndex | QPersistentModelIndex
 OBJECT_MIME = "application/x-std-annotate-object"
 
 
-_STATE_INK = {
-    "not placed": theme.FAINT,
-    "placed": theme.WARNING,
-    "refined": theme.ACCENT,
-    "done": theme.GOOD,
-}
+# Names of the palette's colours.
+_STATE_INK = {"not placed": "muted", "placed": "warning", "refined": "accent", "done": "good"}
 
 _ROLE = Qt.ItemDataRole
 
@@ -67,12 +63,14 @@ class ObjectPanel(Panel):
         self._commands = commands
         self.model = ObjectListModel()
         self.list = ObjectList(self.model)
+        self.list.setAccessibleName("Objects")
         self.list.selectionModel().currentChanged.connect(self._on_current)
         self.list.customContextMenuRequested.connect(self._show_menu)
         self.list.doubleClicked.connect(lambda: commands.run("zoom_object"))
 
         self.count = label("muted")
         self.search = QtWidgets.QLineEdit()
+        self.search.setAccessibleName("Search objects")
         self.search.setPlaceholderText("Search: name, material, state or verdict")
         self.search.setClearButtonEnabled(True)
         self.search.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
@@ -83,12 +81,12 @@ class ObjectPanel(Panel):
         top.addStretch(1)
         top.addWidget(self.count)
 
-        self.list.setMinimumHeight(round(8.7 * self.fontMetrics().height()))
         self.stack = QtWidgets.QStackedLayout()
         self.stack.addWidget(self.list)
         self.stack.addWidget(label("empty", _EMPTY))
 
         self.material = QtWidgets.QComboBox()
+        self.material.setAccessibleName("Material")
         self.material.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         for name in MATERIALS:
             self.material.addItem(icon(name), name)
@@ -111,6 +109,10 @@ class ObjectPanel(Panel):
         layout.addLayout(self.stack, 1)
         layout.addLayout(below)
         self.follow()
+
+    def fit_text(self) -> None:
+        self.list.setMinimumHeight(round(8.7 * self.fontMetrics().height()))
+        self.list.doItemsLayout()
 
     def refresh(self) -> None:
         c = self._controller
@@ -232,7 +234,7 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         box: QRect = option.rect
         if selected or hovered:
-            painter.fillRect(box, QColor(theme.ACCENT_DEEP if selected else theme.RAISED))
+            painter.fillRect(box, QColor(theme.CHOSEN if selected else theme.RAISED))
         # Same colour as in the views.
         color = QRectF(box.left() + 6, box.top() + 6, 6, box.height() - 12)
         painter.setPen(Qt.PenStyle.NoPen)
@@ -252,15 +254,17 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
         painter.setFont(small)
         used = 0
         if row.badge:
-            painter.setPen(QColor(theme.TEXT if selected else theme.GRADE_INK[row.grade]))
+            painter.setPen(
+                QColor(theme.ON_CHOSEN if selected else theme.look.palette.grade(row.grade))
+            )
             painter.drawText(bottom, right | middle, row.badge)
             used = QFontMetrics(small).horizontalAdvance(row.badge) + 8
-        painter.setPen(QColor(theme.TEXT if selected else _STATE_INK[row.state]))
+        painter.setPen(QColor(theme.ON_CHOSEN if selected else _ink(row)))
         painter.drawText(top, right | middle, row.state)
         word = QFontMetrics(small).horizontalAdvance(row.state) + 8
 
-        painter.setPen(QColor(theme.TEXT if selected else theme.MUTED))
-        sign = pixmap(row.material, 12, theme.TEXT if selected else theme.MUTED, 2.0)
+        painter.setPen(QColor(theme.ON_CHOSEN if selected else theme.MUTED))
+        sign = pixmap(row.material, 12, theme.ON_CHOSEN if selected else theme.MUTED, 2.0)
         place = QRect(bottom.left(), bottom.center().y() - 5, 12, 12)
         painter.drawPixmap(place, sign)
         described = row.alarm or f"{row.material} · {row.model}"
@@ -274,15 +278,20 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
             metrics.elidedText(described, Qt.TextElideMode.ElideRight, free.width()),
         )
         painter.setFont(bold)
-        painter.setPen(QColor(theme.TEXT if row.state != "not placed" or selected else theme.MUTED))
+        ink = theme.MUTED if row.state == "not placed" else theme.TEXT
+        painter.setPen(QColor(theme.ON_CHOSEN if selected else ink))
         free = top.adjusted(0, 0, -word - (18 if row.noted else 0), 0)
         name = QFontMetrics(bold).elidedText(row.name, Qt.TextElideMode.ElideRight, free.width())
         painter.drawText(free, left | middle, name)
         if row.noted:
             at = top.left() + QFontMetrics(bold).horizontalAdvance(name) + 6
-            sign = pixmap("note", 12, theme.TEXT if selected else theme.WARNING, 2.0)
+            sign = pixmap("note", 12, theme.ON_CHOSEN if selected else theme.WARNING, 2.0)
             painter.drawPixmap(QRect(at, top.center().y() - 6, 12, 12), sign)
         painter.restore()
+
+
+def _ink(row: ObjectSummary) -> str:
+    return str(getattr(theme.look.palette, _STATE_INK[row.state]))
 
 
 class ObjectList(QtWidgets.QListView):

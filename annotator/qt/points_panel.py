@@ -10,7 +10,7 @@ from annotator.app.controller import Controller
 from annotator.app.panels import ClickRow, ClickSettings, click_rows
 from annotator.qt import theme
 from annotator.qt.commands import Commands
-from annotator.qt.panel import Panel, label, number_table, tool_button
+from annotator.qt.panel import Panel, fit_rows, label, number_table, tool_button
 from annotator.qt.theme import icon
 from annotator.qt.view_area import ViewWidget
 from annotator.session import ChangeClick, Click
@@ -34,6 +34,7 @@ class PointsPanel(Panel):
         self.rows: list[ClickRow] = []
         self._filling = False
         self.table = number_table(["#", "frame", "u", "v", "residual"])
+        self.table.setAccessibleName("Clicked points")
         header = self.table.horizontalHeader()
         header.setSectionResizeMode(0, QtWidgets.QHeaderView.ResizeMode.ResizeToContents)
         self.table.setSelectionBehavior(QtWidgets.QAbstractItemView.SelectionBehavior.SelectRows)
@@ -111,6 +112,9 @@ class PointsPanel(Panel):
         if row is not None and name is not None:
             edit = ChangeClick(object=name, frame=row.frame, index=row.number, click=None)
             self._controller.apply(edit)
+
+    def fit_text(self) -> None:
+        fit_rows(self.table)
 
     def refresh(self) -> None:
         c = self._controller

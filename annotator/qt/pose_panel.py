@@ -28,12 +28,14 @@ class PosePanel(panel.Panel):
         super().__init__(controller)
         self.fields = pose_text.PoseFields(controller)
         self._frame_box = QtWidgets.QComboBox()
+        self._frame_box.setAccessibleName("Frame of the numbers")
         self._frame_box.addItem("camera", False)
         self._frame_box.addItem("world", True)
         self._frame_box.setToolTip(
             "<b>Frame of the numbers</b><br>Camera: x right, y down, z away."
         )
         self._form_box = QtWidgets.QComboBox()
+        self._form_box.setAccessibleName("How the rotation is written")
         for form, title in pose_text.FORM_TITLES.items():
             self._form_box.addItem(title, form)
         self._form_box.setToolTip("<b>How the rotation is written</b><br>Angles are in degrees.")
@@ -50,6 +52,8 @@ class PosePanel(panel.Panel):
             grid.addWidget(panel.label("muted", axis), 0, column, Qt.AlignmentFlag.AlignCenter)
             grid.addWidget(self.position[column], 1, column)
             grid.addWidget(self.rotation[column], 2, column)
+            self.position[column].setAccessibleName(f"{axis}, mm")
+            self.rotation[column].setAccessibleName(f"Turn about {axis}, degrees")
             self.position[column].setToolTip(
                 f"{axis} of the mesh's origin. Enter applies; the arrow keys step."
             )
@@ -58,6 +62,7 @@ class PosePanel(panel.Panel):
         for field in (*self.position, *self.rotation):
             field.left.connect(self.left)
         self.quaternion = QtWidgets.QLineEdit()
+        self.quaternion.setAccessibleName("Quaternion w x y z")
         self.quaternion.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.quaternion.setToolTip(pose_text.FORM_TIPS[pose_text.RotationForm.QUATERNION])
         self.quaternion.editingFinished.connect(self._type_quaternion)

@@ -18,6 +18,7 @@ from PySide6.QtWidgets import QApplication
 from annotator.app.mesh_folder import choose_folder
 from annotator.options import AnnotateOptions
 from annotator.qt.graphics import set_surface_format
+from annotator.qt.settings import remembered_look
 from annotator.qt.theme import apply_theme
 from annotator.startup import quick_imports
 from std_toolkit.jobs.interrupt import whole_imports
@@ -101,5 +102,6 @@ def make_application() -> QApplication:
     app = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(app, QApplication)
     app.setApplicationName("std-annotate")
-    apply_theme(app)
+    light, text = remembered_look()
+    apply_theme(app, light=light, text=text)
     return app

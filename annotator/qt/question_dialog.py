@@ -11,9 +11,10 @@ from PySide6 import QtWidgets
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtGui import QKeySequence
 
-from annotator.app import dialogs, events, questions
+from annotator.app import command_palette, dialogs, events, questions
 from annotator.app.controller import Controller
-from annotator.qt import theme
+from annotator.app.palette import stepped
+from annotator.qt import command_list, settings, theme
 from annotator.qt.graphics import renderer_name
 from annotator.qt.theme import pixmap
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
@@ -37,10 +38,16 @@ class WindowDialogs(QObject):
     ) -> None:
         super().__init__(parent)
         self._parent = parent
+        self._controller = controller
         self._dialogs = dialogs.Dialogs(
             controller,
             self._show,
-            own={**own, "add_mesh": self._browse_meshes},
+            own={
+                **own,
+                **look_dialogs(controller),
+                "add_mesh": self._browse_meshes,
+                "commands": self._find_command,
+            },
             drawn_by=lambda: renderer_name() or "an unknown renderer",
         )
         self.add_meshes = self._dialogs.add_meshes
@@ -60,12 +67,43 @@ class WindowDialogs(QObject):
         else:
             self._dialogs.answer(question.number, *dialog.ask())
 
+    def _find_command(self) -> None:
+        row = command_list.CommandList(self._parent.window(), self._controller).ask()
+        if row is not None:
+            c = self._controller
+            c.attempt(lambda: command_palette.run(c, row.kind, row.target))
+
     def _browse_meshes(self) -> None:
         kinds = " ".join(f"*{s}" for s in MESH_SUFFIXES)
         names, _ = QtWidgets.QFileDialog.getOpenFileNames(
             self._parent, "Add mesh", "", f"Meshes ({kinds})"
         )
         self.add_meshes([Path(n) for n in names])
+
+
+def look_dialogs(controller: Controller) -> dict[str, Callable[[], object]]:
+    """Return the actions that change what the window looks like, by name."""
+    look = theme.look
+    controller.light = look.light
+
+    def change(*, light: bool, text: int) -> None:
+        app = QtWidgets.QApplication.instance()
+        assert isinstance(app, QtWidgets.QApplication)
+        look.apply(app, light=light, text=text)
+        settings.remember_look(light=light, text=text)
+        controller.light = light
+        controller.emit(events.Event("view"))
+
+    def resize(steps: int) -> None:
+        text = stepped(look.text, steps)
+        change(light=look.light, text=text)
+        controller.tell(f"Text size: {text} %.")
+
+    return {
+        "light_theme": lambda: change(light=not look.light, text=look.text),
+        "larger_text": lambda: resize(1),
+        "smaller_text": lambda: resize(-1),
+    }
 
 
 class QuestionDialog(QtWidgets.QDialog):
@@ -89,7 +127,9 @@ class QuestionDialog(QtWidgets.QDialog):
         if not question.groups:
             sign = QtWidgets.QLabel()
             ratio = self.devicePixelRatioF()
-            sign.setPixmap(pixmap(question.level, 32, theme.LEVEL_INK[question.level], ratio))
+            sign.setPixmap(
+                pixmap(question.level, 32, theme.look.palette.level(question.level), ratio)
+            )
             top.addWidget(sign, 0, Qt.AlignmentFlag.AlignTop)
         top.addLayout(self._words(), 1)
         row = QtWidgets.QHBoxLayout()
@@ -158,6 +198,7 @@ class QuestionDialog(QtWidgets.QDialog):
         for field in self._question.fields:
             widget = self.widgets[field.name]
             widget.setToolTip(field.tip)
+            widget.setAccessibleName(field.label)
             if field.kind in ("line", "number"):
                 form.addRow(field.label, widget)
             elif field.kind == "lines":
@@ -189,6 +230,7 @@ class GroupTables(QtWidgets.QWidget):
         ]
         self.search = QtWidgets.QLineEdit()
         self.search.setPlaceholderText("Search")
+        self.search.setAccessibleName("Search")
         self.search.setClearButtonEnabled(True)
         self.search.textChanged.connect(self._show)
         self.search.setVisible(searchable)

@@ -11,7 +11,7 @@ from annotator.app.panels import ResidualRow, residual_rows
 from annotator.app.verdicts import VerdictSettings
 from annotator.qt import theme
 from annotator.qt.commands import Commands
-from annotator.qt.panel import Panel, label, number_table, tool_button
+from annotator.qt.panel import Panel, fit_rows, label, number_table, tool_button
 
 
 class ResidualPanel(Panel):
@@ -22,8 +22,7 @@ class ResidualPanel(Panel):
     def __init__(self, controller: Controller, commands: Commands) -> None:
         super().__init__(controller)
         self.table = number_table(["frame", "edges", "chance", "depth"])
-        # The main view and three side views.
-        self.table.setMinimumHeight(4 * 22 + self.table.horizontalHeader().sizeHint().height() + 4)
+        self.table.setAccessibleName("Residuals")
         self.table.setSelectionMode(QtWidgets.QAbstractItemView.SelectionMode.NoSelection)
         self.table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -45,6 +44,13 @@ class ResidualPanel(Panel):
         layout.addWidget(scroll, 2)
         self.follow()
 
+    def fit_text(self) -> None:
+        fit_rows(self.table)
+        row = self.table.verticalHeader().defaultSectionSize()
+        header = self.table.horizontalHeader().sizeHint().height()
+        # The main view and three side views.
+        self.table.setMinimumHeight(4 * row + header + 4)
+
     def refresh(self) -> None:
         c = self._controller
         rows = residual_rows(c)
@@ -60,9 +66,9 @@ class ResidualPanel(Panel):
         # Each number by its own grade: edges at chance level are grey.
         inks = (
             theme.TEXT,
-            theme.GRADE_INK[row.edge_grade],
+            theme.look.palette.grade(row.edge_grade),
             theme.MUTED,
-            theme.GRADE_INK[row.depth_grade],
+            theme.look.palette.grade(row.depth_grade),
         )
         for column, text in enumerate(cells):
             item = QtWidgets.QTableWidgetItem(text)

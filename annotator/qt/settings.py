@@ -1,4 +1,4 @@
-"""User settings: recent scenes, and size and layout of the window."""
+"""User settings: recent scenes, look of the window, its size and layout."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from PySide6.QtCore import QByteArray
 from PySide6.QtWidgets import QMainWindow, QSplitter
 
 from annotator.app.mesh_folder import settings_folder
+from annotator.app.palette import USUAL_TEXT, stepped
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.atomic import write_bytes_atomic
 
@@ -42,6 +43,19 @@ def remember_scene(root: Path) -> None:
         write_bytes_atomic(path, json.dumps(names, indent=1).encode())
 
 
+def remembered_look() -> tuple[bool, int]:
+    """Return whether the theme is light, and the text size in percent; what is wrong is usual."""
+    known = _read()
+    text = known.get("text", "")
+    percent = int(text) if text.isdecimal() and len(text) < 4 else USUAL_TEXT
+    return known.get("theme") == "light", stepped(percent, 0)
+
+
+def remember_look(*, light: bool, text: int) -> None:
+    """Store the theme, and the text size in percent; ignores a read-only folder."""
+    _write({"theme": "light" if light else "dark", "text": str(text)})
+
+
 def restore_window(window: QMainWindow) -> bool:
     """Restore position and size of a window; False if nothing is stored."""
     text = _read().get("window")
@@ -62,9 +76,13 @@ def remember(window: QMainWindow, splitters: dict[str, QSplitter]) -> None:
     """Store the layout of the window; ignores a read-only folder."""
     parts = {"window": window.saveGeometry()}
     parts |= {name: splitter.saveState() for name, splitter in splitters.items()}
-    texts = _read() | {name: data.toBase64().toStdString() for name, data in parts.items()}
+    _write({name: data.toBase64().toStdString() for name, data in parts.items()})
+
+
+def _write(texts: dict[str, str]) -> None:
+    data = json.dumps(_read() | texts, indent=1).encode()
     with suppress(ToolkitError):
-        write_bytes_atomic(recent_file().with_name(_FILE), json.dumps(texts, indent=1).encode())
+        write_bytes_atomic(recent_file().with_name(_FILE), data)
 
 
 def _read() -> dict[str, str]:

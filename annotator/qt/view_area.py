@@ -140,15 +140,12 @@ class ViewTile(QFrame):
         self._active: bool | None = None
         self.setObjectName("tile")
         self.view = ViewWidget(self)
+        self.view.setAccessibleName("Main view" if slot == 0 else f"Side view {slot}")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(1, 1, 1, 1)
         layout.addWidget(self.view)
         self.corner = QWidget(self.view)
         self.corner.setObjectName("corner")
-        self.corner.setStyleSheet(
-            "QWidget#corner { background: rgba(42, 42, 42, 170); border-radius: 4px; }"
-            "QToolButton { padding: 2px; }"
-        )
         row = QHBoxLayout(self.corner)
         row.setContentsMargins(1, 1, 1, 1)
         row.setSpacing(1)
@@ -158,7 +155,7 @@ class ViewTile(QFrame):
         else:
             # The frame of a side view is selected automatically and can be changed.
             for by, name, tip in ((-1, "previous", "Earlier frame"), (1, "next", "Later frame")):
-                button = _corner_button()
+                button = _corner_button(label=f"{tip} in this view")
                 button.setIcon(icon(name))
                 button.setToolTip(f"{tip} in this view")
                 button.setAutoRepeat(True)
@@ -174,8 +171,7 @@ class ViewTile(QFrame):
         if active is self._active:
             return
         self._active = active
-        edge = theme.ACCENT if active else theme.WINDOW
-        self.setStyleSheet(f"QFrame#tile {{ border: 1px solid {edge}; }}")
+        theme.mark(self, "inhand", str(active).lower())
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         if watched is self.view and event.type() == QEvent.Type.Resize:
@@ -196,8 +192,8 @@ class ViewTile(QFrame):
             c.tell(str(error), "error")
 
 
-def _corner_button(action: QAction | None = None) -> QToolButton:
-    button = panel.tool_button(action)
+def _corner_button(action: QAction | None = None, *, label: str = "") -> QToolButton:
+    button = panel.tool_button(action, name=label)
     button.setIconSize(QSize(16, 16))
     return button
 

@@ -20,6 +20,7 @@ from annotator.qt import (
     pose_panel,
     residual_panel,
     settings,
+    theme,
     view_area,
 )
 
@@ -93,7 +94,6 @@ class Workspace(QWidget):
         self.split.addWidget(self.side)
         self.split.setStretchFactor(0, 1)
         self.split.setStretchFactor(1, 0)
-        self.side.setMinimumWidth(SIDE_WIDTH - 40)
         self.split.setSizes([10_000, SIDE_WIDTH])
         self.split.setChildrenCollapsible(False)
         for split in (self.side, self.split):
@@ -120,6 +120,8 @@ class Workspace(QWidget):
         # The card changes its height with what it says.
         self._soon = QTimer(self, singleShot=True, interval=0)
         self._soon.timeout.connect(self._share_side)
+        theme.look.changed.connect(self._fit_text)
+        self._fit_text()
         self._unsubscribe = controller.subscribe(self._on_event)
 
     @property
@@ -148,6 +150,10 @@ class Workspace(QWidget):
         objects = max(self.objects.minimumSizeHint().height(), total - below)
         self.side.setSizes([objects, max(total - objects, 1)])
 
+    def _fit_text(self) -> None:
+        self.side.setMinimumWidth(round((SIDE_WIDTH - 40) * theme.look.text / 100))
+        self._soon.start()
+
     def _keep_side(self) -> None:
         self._shared = False
 
@@ -170,6 +176,7 @@ class Workspace(QWidget):
     def close_panel(self) -> None:
         """Unsubscribe from the controller; the widgets are deleted afterwards."""
         self._closed = True
+        theme.look.changed.disconnect(self._fit_text)
         self._soon.stop()
         settings.remember(self._window, self._divided())
         self._unsubscribe()

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from annotator.app import (
     action_table,
     background_updates,
+    command_palette,
     controller,
     dialogs,
     events,
@@ -30,12 +31,13 @@ from annotator.app import (
     tasks,
     view_options,
 )
+from annotator.app.palette import USUAL_TEXT
 from annotator.session import ChangeClick, Session
 from annotator.views import ViewSet
 from annotator.views.mesh_picker import MeshPicker
 from annotator.views.thumbnails import Thumbnails
 from annotator.web.channel import Drop, Key, Pointer, ViewChannel
-from annotator.web.page import build_page, page_constants, page_pose, page_state
+from annotator.web.page import LOCAL, build_page, page_constants, page_pose, page_state
 from annotator.web.stream import StreamedPlotter
 from std_toolkit.log import logger
 
@@ -77,11 +79,16 @@ class FrontEnd:
         c.mesh_folder = meshes
         if session.state.objects:
             c.select(session.state.objects[0].name)
-        own = {"close": self._leave} if home else None
+        own = dict.fromkeys(LOCAL, lambda: None)  # see there
+        if home:
+            own["close"] = self._leave
         self.dialogs = dialogs.Dialogs(c, self._show_question, own=own)
         self._fields = pose_text.PoseFields(c)
         self._action_of = {
-            k: a.id for a in action_table.available_actions(c.dialogs) for k in a.keys
+            k: a.id
+            for a in action_table.available_actions(c.dialogs)
+            if a.id not in LOCAL
+            for k in a.keys
         }
         views = len(c.view_frames)
         self._build_page(server, views)
@@ -118,11 +125,14 @@ class FrontEnd:
         self._state.update({"busy_share": None, "sliding": None, "fading": None, "mistyped": 0})
         self._state.update({"home": self._home, "left": False})
         self._state.update({"sought": "", "sought_object": ""})
-        self._state.client_only("sliding", "fading", "sought", "sought_object")
+        self._state.update({"palette": None, "light": False, "text_size": USUAL_TEXT})
+        self._state.client_only(
+            "sliding", "fading", "sought", "sought_object", "palette", "light", "text_size"
+        )
         self._refresh()
         for name in ("act", "select", "show_frame", "answer", "close_notice", "add_object",
                      "set_number", "set_form", "copied", "paste", "set_opacity",
-                     "remove_point"):  # fmt: skip
+                     "remove_point", "commands", "run_command"):  # fmt: skip
             server.trigger(name)(getattr(self, name))
         server.controller.on_client_connected.add(self._connected)
         build_page(server, views=views)
@@ -280,6 +290,16 @@ class FrontEnd:
         action = action_table.BY_ID.get(id)
         if action is not None and action.enabled(self.controller):
             self.controller.attempt(lambda: action.run(self.controller))
+
+    def commands(self, typed: str) -> list[dict[str, Any]]:
+        """Return the commands found for a typed text."""
+        rows = command_palette.commands(self.controller, typed)
+        return [{**asdict(row), "local": row.target in LOCAL} for row in rows]
+
+    def run_command(self, kind: str, target: str) -> None:
+        """Run a command of the list, if it can be run."""
+        c = self.controller
+        c.attempt(lambda: command_palette.run(c, kind, target))
 
     def select(self, name: str) -> None:
         self.controller.attempt(lambda: self.controller.select(name))

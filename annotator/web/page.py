@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +16,7 @@ from annotator.app import (
     controller,
     icons,
     object_summary,
+    palette,
     panels,
     pose_text,
     questions,
@@ -25,6 +27,10 @@ from annotator.session import Session
 from std_toolkit.html.plots import object_color
 
 STATIC = Path(__file__).parent / "static"
+
+# Actions that each browser does for itself, in `static/look.js`. The keys of the text size stay the
+# browser's own: they zoom the whole page.
+LOCAL = ("light_theme", "larger_text", "smaller_text", "commands")
 
 # Lines in the head of trame's page that are replaced.
 _TITLE = "<title>trame is built by Kitware</title>"
@@ -42,8 +48,10 @@ def index_html(*, title: str, secret: str) -> str:
     head = (
         '<head><meta charset="UTF-8" />'
         f'<meta name="secret" content="{_escaped(secret)}" />'
+        f'<meta name="look" content="{_escaped(json.dumps(_look()))}" />'
         '<script src="annotator/start.js"></script>'
         '<script type="module" src="annotator/views.js"></script>'
+        f"<style>{palette.style_sheet()}</style>"
         '<link rel="stylesheet" href="annotator/page.css" />'
     )
     page = (Path(www) / "index.html").read_text(encoding="utf-8")
@@ -52,6 +60,13 @@ def index_html(*, title: str, secret: str) -> str:
     page = page.replace(_ICON, '<link rel="icon" href="annotator/icon.svg" />')
     # The policy of `guard` forbids inline scripts; this one shows trame's logo.
     return re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+
+
+def _look() -> dict[str, Any]:
+    """Return what `static/look.js` needs to know."""
+    p = palette
+    sizes = {"least": p.SMALLEST_TEXT, "usual": p.USUAL_TEXT, "most": p.LARGEST_TEXT}
+    return {"text": {**sizes, "step": p.TEXT_STEP}, "keys": action_table.BY_ID["commands"].keys}
 
 
 def build_page(server: Any, *, views: int) -> None:
@@ -146,6 +161,7 @@ def _menu(name: str, dialogs: frozenset[str]) -> dict[str, Any]:
                 "id": action.id,
                 "tip": action.tip,
                 "keys": ", ".join(action.keys),
+                "local": action.id in LOCAL,
                 "switch": action.checked is not None,
                 "divider": group is not None and action.group != group,
                 "heading": action.submenu if action.group != group else "",

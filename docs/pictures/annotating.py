@@ -144,7 +144,7 @@ def refine(hand: Hands) -> None:
     """All objects together; the picture of the whole window."""
     from PySide6.QtCore import Qt
 
-    from annotator.app.pose_checks import can_take_turn
+    from annotator.app.pose_checks import no_turn
 
     c = hand.controller
     hand.press(Qt.Key.Key_R, Qt.KeyboardModifier.ControlModifier)
@@ -152,7 +152,7 @@ def refine(hand: Hands) -> None:
         c.select(name)
         hand.wait(lambda name=name: name in c.residuals)
         hand.settle()
-        if can_take_turn(c):
+        if not no_turn(c):
             hand.press(Qt.Key.Key_Y)
             hand.press(Qt.Key.Key_R)
             hand.settle()

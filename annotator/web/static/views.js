@@ -1,6 +1,8 @@
 // The views of the page: they show the pictures that the server sends, and tell it what the hand
 // does. One web socket carries all of it, in order and beside everything else of the page.
 
+import { lookKey } from "./look.js";
+
 // So many moves of the pointer may be on their way: on a slow line the pointer is followed in
 // larger steps, but not late.
 const MOVES_UNDER_WAY = 2;
@@ -251,8 +253,9 @@ function elsewhere(event) {
 
 function keyPressed(event) {
   channel.ctrlHeld = event.ctrlKey;
-  if (event.isComposing || elsewhere(event)) return;
+  if (event.isComposing) return;
   const name = keyName(event);
+  if (lookKey(event, name) || elsewhere(event)) return;
   if (!channel.keys.has(name)) return;
   event.preventDefault();
   channel.sendNow({ type: "key", name: name, repeat: event.repeat });
