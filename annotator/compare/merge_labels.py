@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import reduce
 from itertools import combinations
 from string import ascii_uppercase
@@ -16,6 +15,7 @@ from annotator.options import MergeOptions
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import Symmetry
 from std_toolkit.geometry.symmetry import common_symmetry
+from std_toolkit.io.documents import utc_text
 from std_toolkit.labels.agreement import annotated_scene
 from std_toolkit.labels.agreement.comparison import ObjectAgreement, agreement_of
 from std_toolkit.labels.agreement.options import CompareOptions
@@ -106,7 +106,7 @@ def merge_labels(
     """
     options = options or MergeOptions()
     compare = options
-    time = time or datetime.now(UTC).isoformat(timespec="seconds")
+    time = time or utc_text()
     if not 2 <= len(scenes) <= len(ascii_uppercase):
         raise ToolkitError("a merge needs two to 26 scenes", value=len(scenes))
     place, annotators, notes = _shared(scenes, target, options)

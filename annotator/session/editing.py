@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Literal
 
 from annotator.session import ledger, merge, recovery
@@ -27,7 +27,7 @@ from annotator.session.meshes import MeshLibrary
 from annotator.session.state import AnnotationState, Cameras, Judged, Queries, Snapshot
 from std_toolkit import __version__
 from std_toolkit.errors import ToolkitError
-from std_toolkit.io.documents import decode_document
+from std_toolkit.io.documents import decode_document, utc_text
 from std_toolkit.scene import Scene
 from std_toolkit.scene.judgement import Judgement
 
@@ -189,7 +189,7 @@ class Editing(Queries):
         entry, data = recorder.checked(
             make(
                 number=recorder.next_number,
-                time=time or _now(),
+                time=time or utc_text(timespec="milliseconds"),
                 annotator=self.annotator,
                 version=__version__,
                 **fields,
@@ -219,12 +219,13 @@ class Editing(Queries):
 
     def _time(self) -> str:
         """Time of an edit, after that of every pose there is: a clock may be set back."""
-        now = _now()
+        now = utc_text(timespec="milliseconds")
         placed = (p.time for o in self.state.objects for p in o.placements.values())
         newest = max(placed, default="")
         if now <= newest:
             with suppress(ValueError, OverflowError):  # a time of another program
-                return _text(datetime.fromisoformat(newest) + timedelta(milliseconds=1))
+                later = datetime.fromisoformat(newest) + timedelta(milliseconds=1)
+                return utc_text(later, timespec="milliseconds")
         return now
 
     def _ids_in_use(self) -> set[int]:
@@ -244,14 +245,6 @@ class Editing(Queries):
                 path=self.scene.root,
                 hint="recover or discard them",
             )
-
-
-def _now() -> str:
-    return _text(datetime.now(UTC))
-
-
-def _text(time: datetime) -> str:
-    return time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 class Recorder:

@@ -1,7 +1,6 @@
 """The judgement of each label, from the report of the check, and its way into labels.json."""
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
 
 import msgspec
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from std_toolkit.checks.measure.textures import TextureFinding
 from std_toolkit.checks.result import CheckReport, GateFinding, ObjectCheck, Value
 from std_toolkit.checks.shapes import size_sentence
+from std_toolkit.io.documents import utc_text
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.judgement import Evidence, Judgement, Source
 from std_toolkit.scene.label_verdicts import judgement_inputs, judgement_limits
@@ -34,7 +34,7 @@ def store_judgements(scene: Scene, report: CheckReport, options: CheckOptions) -
     limits = judgement_limits(options.label_limits())
     inputs = judgement_inputs(scene, limits)
     rows = {item.object: item for item in report.objects}
-    now = utc_now()
+    now = utc_text()
     labels = []
     for label in scene.labels.labels:
         item = rows.get(label.object)
@@ -44,11 +44,6 @@ def store_judgements(scene: Scene, report: CheckReport, options: CheckOptions) -
         labels.append(msgspec.structs.replace(label, judgement=_kept(label, judgement)))
     if labels != scene.labels.labels:
         scene.save_labels(Labels(labels=labels))
-
-
-def utc_now() -> str:
-    """The time of a judgement that is made now, UTC, ISO 8601."""
-    return datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
 def judgement_of(

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 
 from std_toolkit.checks.gates.judge import judge_scene
-from std_toolkit.checks.judgements import judgement_of, utc_now
+from std_toolkit.checks.judgements import judgement_of
 from std_toolkit.checks.measure.contours import LabelCaster
 from std_toolkit.checks.measure.coverage import scene_up, spread
 from std_toolkit.checks.measure.residuals import FrameObservation, measure_frame
 from std_toolkit.checks.measure.textures import TextureFinding, compare_textures
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
+from std_toolkit.io.documents import utc_text
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.scene.judgement import Judgement
@@ -145,7 +146,7 @@ class LabelCheck:
         )
         limits = judgement_limits(self.options.label_limits())
         inputs = judgement_inputs(scene, limits)
-        now = utc_now()
+        now = utc_text()
         found = {}
         for item in report.objects:
             label = scene.labels.of(item.object)

@@ -5,8 +5,9 @@ import json
 import math
 import re
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
@@ -124,6 +125,18 @@ def digest_files(root: Path, paths: Iterable[Path]) -> dict[str, str]:
         path.relative_to(root).as_posix(): digest_file(path) if path.is_file() else ""
         for path in paths
     }
+
+
+def utc_text(
+    moment: datetime | None = None, *, timespec: Literal["seconds", "milliseconds"] = "seconds"
+) -> str:
+    """A time as documents hold it: UTC, ISO 8601, `Z` at its end; now without a moment.
+
+    >>> utc_text(datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC))
+    '2026-01-02T03:04:05Z'
+    """
+    moment = datetime.now(UTC) if moment is None else moment.astimezone(UTC)
+    return moment.isoformat(timespec=timespec).replace("+00:00", "Z")
 
 
 def digest_of(*parts: Any, versioned: bool = True) -> str:

@@ -10,7 +10,6 @@ import hashlib
 import hmac
 import secrets
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +17,7 @@ import msgspec
 
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.html.table import Table, text_table
-from std_toolkit.io.documents import read_document, write_document
+from std_toolkit.io.documents import read_document, utc_text, write_document
 from std_toolkit.project.record import Project
 from std_toolkit.scene.document import Document, check_unique
 from std_toolkit.scene.pose_model import Time
@@ -69,8 +68,7 @@ def make_token(project: Project, person: str) -> str:
     """
     check_person(project, person)
     token = secrets.token_urlsafe(_BYTES)
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    _replace(project, person, Token(person=person, digest=_digest(token), time=now))
+    _replace(project, person, Token(person=person, digest=_digest(token), time=utc_text()))
     return token
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Literal
 
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.html.table import Table, text_table
+from std_toolkit.io.documents import utc_text
 from std_toolkit.project.board import SceneState
 from std_toolkit.project.people import check_person
 from std_toolkit.project.record import Project
@@ -177,7 +177,6 @@ def comment_scene(project: Project, given: str, *, by: str, text: str) -> None:
 
 
 def _add(scene: Scene, by: str, verdict: Verdict, text: str, reasons: Mapping[str, str]) -> None:
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    row = Review(time=now, by=by, verdict=verdict, reason=text, reasons=dict(reasons),
+    row = Review(time=utc_text(), by=by, verdict=verdict, reason=text, reasons=dict(reasons),
                  labels=label_digests(scene))  # fmt: skip
     add_review(scene, row)
