@@ -195,7 +195,7 @@ def fused_surface(
     if on_table:
         field = levelled(field, fused.support, grid, views, threads=threads)
         field, cut = without_skirt(field, fused.support, grid)
-        if cut:
+        if round(100 * cut):
             facts["cut at the foot"] = f"{100 * cut:.0f} % of the base, a film on the table"
     if options.wall_m is not None:
         # The first folder shows the vessel upright.
