@@ -47,16 +47,24 @@ def outline_distance(mask: Mask, reach: int | None = None) -> NDArray[np.int16]:
 
 
 def hull_field(views: Sequence[View], grid: Grid, *, allowed: int = 0, threads: int = 1) -> Floats:
-    """Signed distance to the visual hull, metres, positive outside.
+    """Signed distance to the visual hull, metres, positive outside; arguments as of `hull_fields`.
+
+    Returns:
+        Field in the shape of the grid. Voxels that no photo shows are outside.
+    """
+    return hull_fields(views, grid, allowed=(allowed,), threads=threads)[0]
+
+
+def hull_fields(
+    views: Sequence[View], grid: Grid, *, allowed: tuple[int, ...], threads: int = 1
+) -> list[Floats]:
+    """Fields of `hull_field` of several hulls at once.
 
     Args:
         views: photos with masks.
         grid: the voxels.
-        allowed: number of photos that may contradict a voxel.
+        allowed: numbers of photos that may contradict a voxel, one of each hull.
         threads: number of threads.
-
-    Returns:
-        Field in the shape of the grid. Voxels that no photo shows are outside.
     """
     P = np.stack([v.P for v in views])
     focal = np.array([np.sqrt(v.camera.fx * v.camera.fy) for v in views])
@@ -66,31 +74,33 @@ def hull_field(views: Sequence[View], grid: Grid, *, allowed: int = 0, threads: 
     for i, view in enumerate(views):
         h, w = sizes[i]
         distance[i, :h, :w] = outline_distance(view.possible, _REACH)
-    field = np.empty(grid.shape, np.float32)
+    fields = np.empty((len(allowed), *grid.shape), np.float32)
+    counts = np.minimum(allowed, _MOST_ALLOWED - 1)
     origin = np.array(grid.origin)
     parts = np.array_split(np.arange(grid.shape[0]), min(grid.shape[0], 4 * threads))
     in_threads(
         lambda part: _carve(
             P, focal, distance, sizes, origin, grid.step, int(part[0]), int(part[-1]) + 1,
-            min(allowed, _MOST_ALLOWED - 1), field,
+            counts, fields,
         ),
         parts,
         threads=threads,
     )  # fmt: skip
-    return field
+    return list(fields)
 
 
 @compiled
 def _carve(  # type: ignore[no-untyped-def]
-    P, focal, distance, sizes, origin, step, z0, z1, allowed, field
+    P, focal, distance, sizes, origin, step, z0, z1, counts, fields
 ) -> None:
-    """Write the (allowed + 1)-th largest signed distance over the views, for slices z0 to z1."""
+    """Write the (count + 1)-th largest signed distance over the views, for slices z0 to z1."""
     largest = np.empty(8, np.float64)
+    allowed = counts.max()
     for k in range(z0, z1):
         z = origin[2] + k * step
-        for j in range(field.shape[1]):
+        for j in range(fields.shape[2]):
             y = origin[1] + j * step
-            for i in range(field.shape[2]):
+            for i in range(fields.shape[3]):
                 x = origin[0] + i * step
                 for a in range(allowed + 1):
                     largest[a] = -1e9
@@ -117,10 +127,11 @@ def _carve(  # type: ignore[no-untyped-def]
                                 largest[b] = largest[b - 1]
                             largest[a] = s
                             break
-                if seen <= allowed:
-                    field[k, j, i] = 4 * step
-                else:
-                    field[k, j, i] = largest[allowed]
+                for n in range(counts.shape[0]):
+                    if seen <= counts[n]:
+                        fields[n, k, j, i] = 4 * step
+                    else:
+                        fields[n, k, j, i] = largest[counts[n]]
 
 
 def surface_of(field: Floats, grid: Grid) -> tuple[Array, NDArray[np.int64]]:

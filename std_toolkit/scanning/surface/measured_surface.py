@@ -18,7 +18,7 @@ from std_toolkit.geometry import SE3
 from std_toolkit.geometry.ray_caster import RayCaster
 from std_toolkit.io.documents import digest_of
 from std_toolkit.jobs.artefact import Artefact
-from std_toolkit.scanning.masks.hull import hull_field, largest_component, surface_of
+from std_toolkit.scanning.masks.hull import hull_field, hull_fields, largest_component, surface_of
 from std_toolkit.scanning.masks.masks import covered, volume_of_masks
 from std_toolkit.scanning.options import LIMITS, ScanOptions
 from std_toolkit.scanning.photos.posed_photos import PosedPhotos
@@ -114,7 +114,7 @@ def measure_side(
     lap("hull")
     values = {name: getattr(options, name) for name in ("voxels", "neighbours", "depth")}
     inputs = {"poses": posed.digest, "masks": _mask_digest(views)}
-    artefact = Artefact(work, "depth", inputs, values | {"format": 3}, limits=LIMITS)
+    artefact = Artefact(work, "depth", inputs, values | {"format": 4}, limits=LIMITS)
     among = disputed is hull or any(v.hidden is not None for v in views)
     # Among other things, what masks lack may be theirs.
     looked = views if among else _with_disputed(views, disputed, grid, threads)
@@ -195,7 +195,7 @@ def fused_surface(
     if on_table:
         field = levelled(field, fused.support, grid, views, threads=threads)
         field, cut = without_skirt(field, fused.support, grid)
-        if cut:
+        if round(100 * cut):
             facts["cut at the foot"] = f"{100 * cut:.0f} % of the base, a film on the table"
     if options.wall_m is not None:
         # The first folder shows the vessel upright.
@@ -254,10 +254,12 @@ def _hulls(
     # Among other things, fewer photos show a side.
     whole = sum(_whole(v) for v in views)
     many = max(few, (whole - limits.few) // limits.disputed)
-    hull = _hull(views, grid, floors, few, threads)
     if many == few:
+        hull = _cut(hull_field(views, grid, allowed=few, threads=threads), grid, floors)
         return hull, hull
-    return hull, np.minimum(hull, _hull(views, grid, floors, many, threads))
+    fields = hull_fields(views, grid, allowed=(few, many), threads=threads)
+    hull, larger = (_cut(field, grid, floors) for field in fields)
+    return hull, np.minimum(hull, larger)
 
 
 def _whole(view: View) -> bool:
@@ -268,11 +270,12 @@ def _whole(view: View) -> bool:
     return bool(hidden <= DisputeSettings.current().hidden * view.shown.sum())
 
 
-def _hull(
-    views: Sequence[View], grid: Grid, floors: Sequence[SE3], allowed: int, threads: int
-) -> Floats:
-    """Signed distance to the hull above all tables, each the plane z = 0 of a moved world."""
-    field = hull_field(views, grid, allowed=allowed, threads=threads)
+def _cut(field: Floats, grid: Grid, floors: Sequence[SE3]) -> Floats:
+    """The largest part of a hull above all tables, each the plane z = 0 of a moved world.
+
+    Raises:
+        ToolkitError: nothing is left.
+    """
     axes = [
         o + np.arange(n) * grid.step for o, n in zip(grid.origin, grid.shape[::-1], strict=True)
     ]

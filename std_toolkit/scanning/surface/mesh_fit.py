@@ -24,8 +24,7 @@ from std_toolkit.scanning.surface.depth_maps import DepthMap
 from std_toolkit.scanning.surface.vertex_moves import depth_moves, outline_moves, visible_vertices
 from std_toolkit.settings import Settings, limit
 
-# Steps, and those before which the outline of the mesh is drawn anew.
-_STEPS, _DRAWN = 4, (0, 2)
+_STEPS = 4
 # Times that the normals of all faces are averaged in a step.
 _AVERAGED = 15
 # Largest move of a vertex in a step, in voxels.
@@ -82,11 +81,13 @@ def fit_mesh(
         normals = vertex_normals(vertices, faces)
         depth, sure = depth_moves(vertices, normals, maps, weights, step)
         sure = np.minimum(sure, limits.most_depth)
-        if n in _DRAWN:
+        # The outline of the mesh is drawn anew for every second step.
+        drawn = n % 2 == 0
+        if drawn:
             rim = outline_moves(vertices, faces, normals, views, threads=threads)
         held = np.minimum(rim[1], limits.most_outline)
         # An outline that was followed once holds the vertex where it is.
-        asked = rim[0] if n in _DRAWN else np.zeros(len(vertices))
+        asked = rim[0] if drawn else np.zeros(len(vertices))
         wanted = filtered_normals(vertices, faces, pairs, edge=limits.edge)
         move = _step(vertices, faces, normals, wanted, sure * depth + held * asked, sure + held)
         move = np.clip(move, -_FARTHEST * step, _FARTHEST * step)
