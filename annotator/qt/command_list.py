@@ -52,6 +52,7 @@ class CommandList(QtWidgets.QDialog):
         wanted = QSize(round(6.2 * theme.look.text), round(4.6 * theme.look.text))
         self.resize(wanted.boundedTo(room - QSize(40, 40)))
         self._fill("")
+        self.search.setFocus()
 
     @property
     def rows(self) -> list[Command]:

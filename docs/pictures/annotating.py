@@ -160,6 +160,10 @@ def refine(hand: Hands) -> None:
     judged(hand)
     hand.space.banner.notices.clear()
     _save("annotating_window", numbered(hand.picture(), parts(hand)))
+    c.ask("light_theme")
+    hand.settle()
+    _save("annotating_light", hand.picture())
+    c.ask("light_theme")
 
 
 def judged(hand: Hands) -> None:

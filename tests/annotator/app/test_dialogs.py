@@ -18,8 +18,11 @@ from annotator.app.questions import Field, Question, symmetry_words
 from std_toolkit.errors import ToolkitError
 
 
+OWN = {"open", "close", "light_theme", "larger_text", "smaller_text", "commands"}
+
+
 class Asker:
-    """A front end that shows nothing, with the dialogs "open" and "close" of its own.
+    """A front end that shows nothing, with dialogs of its own.
 
     Attributes:
         shown: the questions, the oldest first.
@@ -28,7 +31,7 @@ class Asker:
     def __init__(self, root: Path) -> None:
         self.desk = Desk(root)
         self.shown: list[Question] = []
-        own = {"open": lambda: None, "close": lambda: None}
+        own = dict.fromkeys(OWN, lambda: None)
         self.dialogs = Dialogs(self.desk.controller, self._show, own=own)
         self.desk.controller.select(self.desk.session.state.objects[0].name)
 
@@ -55,7 +58,7 @@ def asker(tmp_path: Path) -> Iterator[Asker]:
 
 
 def test_every_dialog_of_an_action_is_a_question_of_plain_values(asker: Asker) -> None:
-    names = sorted({a.asks for a in ACTIONS if a.asks} - {"open", "close"})
+    names = sorted({a.asks for a in ACTIONS if a.asks} - OWN)
     for name in names:
         question = asker.ask(name)
         assert json.loads(json.dumps(question.as_dict()))["number"] == question.number

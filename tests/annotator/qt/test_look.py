@@ -128,14 +128,15 @@ def _typed(bench: Bench, typed: str, *keys: Qt.Key) -> CommandList:
     def act(dialog: QtWidgets.QDialog) -> None:
         assert isinstance(dialog, CommandList)
         seen.append(dialog)
-        focused = QtWidgets.QApplication.focusWidget() or dialog.search
-        QTest.keyClicks(focused, typed)
+        bench.qtbot.waitUntil(dialog.search.hasFocus)
+        QTest.keyClicks(dialog.search, typed)
         for key in keys:
             QTest.keyClick(dialog.search, key)
         if dialog.isVisible():
             dialog.reject()
 
     bench.in_dialog(act)
+    bench.space.focus_views()
     bench.press("p", CONTROL | SHIFT)
     assert seen, "no list"
     return seen[0]
