@@ -125,9 +125,7 @@ class BoardPage(QtWidgets.QWidget):
 
     def _show(self, found: Any, error: Exception | None) -> None:
         if error is not None:
-            self._tell(
-                error if isinstance(error, ToolkitError) else ToolkitError(str(error))
-            )
+            self._tell(error if isinstance(error, ToolkitError) else ToolkitError(str(error)))
             return
         self._project, rows = found
         self._rows = {row.name: row for row in rows}
