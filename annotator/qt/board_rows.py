@@ -58,7 +58,7 @@ class SceneRows(QtWidgets.QStyledItemDelegate):
         who = f" by {card.people}" if card.people else ""
         what = task.task if task else card.stage
         last = card.last
-        held = f"{card.held_by} has it open" if card.held_by else ""
+        held = card.held_by
         done = f"{local_minute(last.time)}, {last.by or 'somebody'} {last.did}" if last else ""
         lines = (
             (card.name, theme.TEXT),

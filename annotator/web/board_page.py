@@ -12,7 +12,7 @@ from std_toolkit.html.templates import environment
 from std_toolkit.project.cards import Cards, picture_version
 from std_toolkit.project.queue import Task
 from std_toolkit.project.record import Project
-from std_toolkit.project.status import STAGES, SceneRow
+from std_toolkit.project.status import STAGES, SceneRow, Stage
 
 # What the button of a task says, and how it opens the scene; a review begins on the scene's page.
 TASKS: Mapping[Task, tuple[str, str]] = {
@@ -21,6 +21,8 @@ TASKS: Mapping[Task, tuple[str, str]] = {
     "label again, blind": ("Label again, blind", "again"),
     "label": ("Label", "edit"),
 }
+
+_TO_REVIEW: tuple[Stage, ...] = ("to review", "to correct", "accepted")
 
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
@@ -96,7 +98,7 @@ def scene_html(
         typed=typed,
         problem=problem,
         sessions=[s for s in sessions if s.name == row.name],
-        may_review=person not in row.hands and not row.scene.problem and row.scene.labellers,
+        may_review=person not in row.hands and row.stage in _TO_REVIEW,
         # Whoever may label it again should not see these labels.
         blind=row.twice and left and person not in row.scene.labellers,
         again=second is not None and left and {*second.labellers} <= {person}

@@ -39,9 +39,9 @@ class Card:
         labelled, objects: numbers of objects.
         people: who labelled it.
         reviewer: who accepted it or sent it back; "" for nobody.
-        minutes: that people worked on its labels, or "".
+        minutes: that people worked on its labels, with the unit, or "".
         last: the latest thing that a person did; None for nothing.
-        held_by: who has it open now: a name and a computer, or "".
+        held_by: a sentence on who has it open now, with the computer, or "".
         evidence: its labels that are wrong, doubtful or unknown, the wrong ones first.
         comments: what people said, the latest first.
         problem: why it cannot be read, or "".
@@ -113,7 +113,10 @@ def card_of(row: SceneRow) -> Card:
     grades = {o.grade for o in scene.objects}
     evidence = [o for grade in _WORST[:3] for o in scene.graded(grade)]
     people = ", ".join(sorted(row.hands))
-    held_by = person_of(row.held_by)
+    who = person_of(row.held_by)
+    held_by = f"{who} has it open" if ", annotator " in row.held_by else ""
+    if who and not held_by:
+        held_by = f"a program of {who} works on it"
     words = [row.name, row.stage, people, scene.reviewer, *(o.name for o in scene.objects)]
     return Card(
         name=row.name,
@@ -123,7 +126,7 @@ def card_of(row: SceneRow) -> Card:
         objects=len(scene.objects),
         people=people,
         reviewer=scene.reviewer,
-        minutes="" if scene.minutes is None else f"{scene.minutes:.1f}",
+        minutes="" if scene.minutes is None else f"{scene.minutes:.1f}\u00a0min",
         last=next(iter(scene.events), None),
         held_by=held_by,
         evidence=evidence,

@@ -44,6 +44,7 @@ def written(tmp_path_factory) -> dict[str, Path]:
     from std_toolkit.jobs.artefact import Artefact
     from std_toolkit.options import CheckOptions
     from std_toolkit.project.dataset_card import Dataset, labels_of, models_of
+    from std_toolkit.project.people import make_token
     from std_toolkit.project.record import create_project
     from std_toolkit.scene import Annotation, ObjectAnnotation
     from std_toolkit.scene.review import Review, add_review, label_digests
@@ -56,7 +57,8 @@ def written(tmp_path_factory) -> dict[str, Path]:
     scene.save_annotation(Annotation(objects=[ObjectAnnotation(object=1, status="done")]))
     said = {"time": "2026-03-02T09:30:00Z", "by": "ben", "verdict": "accepted"}
     add_review(scene, Review(**said, labels=label_digests(scene)))
-    create_project(folder / "project", scenes=[scene.root], people=["ben"], rules=None)
+    project, _ = create_project(folder / "project", scenes=[scene.root], people=["ben"], rules=None)
+    make_token(project, "ben")
     made = {"name": "a", "layout": "std", "tool": "1", "licence": "b", "rule": "c", "digest": "d"}
     found = {"models": models_of([sidecar]), "labels": labels_of([sidecar])}
     dataset = Dataset(**made, **found, splits={"test": ["e"]}, scenes=[], files={})
@@ -68,6 +70,7 @@ def written(tmp_path_factory) -> dict[str, Path]:
         "record": scene.root / ".std/records/demo.json",
         "export": folder / "std/std_toolkit.json",
         "project": folder / "project/project.json",
+        "tokens": folder / "project/.std/tokens.json",
         "dataset": folder / "dataset.json",
     }
 
