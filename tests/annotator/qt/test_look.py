@@ -194,7 +194,9 @@ def _nameless(root: QtWidgets.QWidget) -> list[str]:
             continue
         if isinstance(parent, inner) or not isinstance(widget, controls):
             continue  # a part of a control that has a name
-        if widget.objectName().startswith("qt_") or "QComboBox" in parent.metaObject().className():
+        if widget.objectName().startswith("qt_") or "QComboBox" in str(
+            parent and parent.metaObject().className()
+        ):
             continue  # made by Qt
         one = QAccessible.queryAccessibleInterface(widget)
         if not one.text(QAccessible.Text.Name).strip():
