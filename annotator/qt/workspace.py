@@ -89,6 +89,11 @@ class Workspace(QWidget):
         self.side.setChildrenCollapsible(False)
         self.side.splitterMoved.connect(self._keep_side)
         self.tabs.currentChanged.connect(self._share_side)
+        # The card changes its height with what it says.
+        self._soon = QTimer(self, singleShot=True, interval=0)
+        self._soon.timeout.connect(self._share_side)
+        theme.look.changed.connect(self._fit_text)
+        self._fit_text()
         self.split = QSplitter(Qt.Orientation.Horizontal)
         self.split.addWidget(left)
         self.split.addWidget(self.side)
@@ -117,11 +122,6 @@ class Workspace(QWidget):
         self.frame_bar.left.connect(self.focus_views)
         placed = any(o.placements for o in controller.session.state.objects)
         self.tabs.setCurrentWidget(self.pose if placed else self.library)
-        # The card changes its height with what it says.
-        self._soon = QTimer(self, singleShot=True, interval=0)
-        self._soon.timeout.connect(self._share_side)
-        theme.look.changed.connect(self._fit_text)
-        self._fit_text()
         self._unsubscribe = controller.subscribe(self._on_event)
 
     @property

@@ -136,6 +136,9 @@ def _typed(bench: Bench, typed: str, *keys: Qt.Key) -> CommandList:
             dialog.reject()
 
     bench.in_dialog(act)
+    # There is no window manager to give the focus back after a dialog.
+    bench.shell.activateWindow()
+    bench.qtbot.waitUntil(bench.shell.isActiveWindow)
     bench.space.focus_views()
     bench.press("p", CONTROL | SHIFT)
     assert seen, "no list"
@@ -191,7 +194,9 @@ def _nameless(root: QtWidgets.QWidget) -> list[str]:
             continue
         if isinstance(parent, inner) or not isinstance(widget, controls):
             continue  # a part of a control that has a name
-        if widget.objectName().startswith("qt_") or type(widget).__name__ == "QComboBoxListView":
+        if widget.objectName().startswith("qt_") or "QComboBox" in str(
+            parent and parent.metaObject().className()
+        ):
             continue  # made by Qt
         one = QAccessible.queryAccessibleInterface(widget)
         if not one.text(QAccessible.Text.Name).strip():
@@ -217,9 +222,3 @@ def test_every_button_and_field_has_a_name(bench: Bench) -> None:
         bench.in_dialog(look)
         bench.controller.ask(name)
         assert missing == [], name
-
-
-def test_the_start_page_has_names(open_bench: OpenBench) -> None:
-    bench = open_bench()
-    assert bench.shell.start_page is not None
-    assert _nameless(bench.shell.start_page) == []
