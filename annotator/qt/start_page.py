@@ -57,6 +57,7 @@ class StartPage(QtWidgets.QWidget):
         self.heading.setObjectName("heading")
         self.recent = QtWidgets.QListWidget()
         self.recent.setObjectName("roomy")
+        self.recent.setAccessibleName("Recent scenes")
         self.recent.itemActivated.connect(self._choose)
         self.recent.itemClicked.connect(self._choose)
         self.empty = QtWidgets.QLabel("No scenes yet. Open a folder, or drop one here.")
