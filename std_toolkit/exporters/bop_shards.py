@@ -83,7 +83,7 @@ def _parts(scene: Path, image: int, documents: dict[str, Any]) -> Iterator[tuple
         yield f"{part}.json", _json(rows[str(image)])
     for kind in ("mask", "mask_visib"):
         masks = {
-            str(i): run_lengths(read_png(scene / kind / f"{stem}_{i:06d}.png") > 0)
+            str(i): run_lengths(read_png(scene / kind / f"{stem}_{i:06d}.png").astype(bool))
             for i in range(len(documents["gt"][str(image)]))
         }
         yield f"{kind}.json", _json(masks)
