@@ -153,11 +153,12 @@ class SceneSessions:
             start_new_session=True,
         )  # fmt: skip
         assert process.stderr is not None
-        last = ""
+        last = error = ""
         try:
             async for line in process.stderr:
                 last = line.decode(errors="replace").strip() or last
                 logger.debug("%s (%s): %s", session.name, session.person, last)
+                error = last.removeprefix("error: ") if last.startswith("error: ") else error
                 address = _ADDRESS.search(last)
                 if address and not session.port:
                     session.port = int(address[1])
@@ -166,7 +167,7 @@ class SceneSessions:
         finally:
             was_ready, session.port = session.port > 0, 0
         if not was_ready:
-            session.problem = last.removeprefix("error: ") or "it ended before it began"
+            session.problem = error or last or "it ended before it began"
         elif session.asked_to_end or status in (0, 130, 143):
             session.asked_to_end = True
         else:
