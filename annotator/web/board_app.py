@@ -252,7 +252,8 @@ class BoardServer:
 
     async def _open(self, request: web.Request) -> web.StreamResponse:
         item, row = await self._named(request)
-        mode = cast(Mode, str((await request.post()).get("mode", "look")))
+        form = await request.post()
+        mode = cast(Mode, str(form.get("mode", "look")))
         if mode not in ("edit", "look", "again"):
             raise web.HTTPBadRequest(text="A scene is opened to edit, look or again.\n")
         person = request[PERSON]
@@ -266,7 +267,9 @@ class BoardServer:
             told = "There is no copy of this scene for you to label again."
             return await self._scene(request, problem=told, status=409)
         folder = copy if mode == "again" else self._project.folder(item)
-        session = await self.sessions.open(person, mode, row.name, folder)
+        session = await self.sessions.open(
+            person, mode, row.name, folder, take_over=form.get("take_over") == "1"
+        )
         self._read_at = -1e9  # it holds the scene now
         if session.problem:
             return await self._scene(request, problem=session.problem, status=409)

@@ -9,6 +9,7 @@ from annotator.app.pose_text import local_minute
 from annotator.app.questions import Question
 from annotator.web.scene_sessions import SceneSession
 from std_toolkit.html.templates import environment
+from std_toolkit.io.locks import TAKE_OVER
 from std_toolkit.project.cards import Cards, picture_version
 from std_toolkit.project.queue import Task
 from std_toolkit.project.record import Project
@@ -97,6 +98,7 @@ def scene_html(
         question=question,
         typed=typed,
         problem=problem,
+        take_over=TAKE_OVER in problem,
         sessions=[s for s in sessions if s.name == row.name],
         may_review=person not in row.hands and row.stage in _TO_REVIEW,
         # Whoever may label it again should not see these labels.

@@ -40,6 +40,7 @@ class SceneSession:
         mode, name: of the scene in the project.
         person: who opened it.
         folder: of the scene or its copy.
+        take_over: whether to take it from a computer that is gone.
         since: when it was opened, seconds since 1970.
         ready: set when it listens, or when it ended before that.
         port: that it listens on; 0 before, and after its end.
@@ -53,6 +54,7 @@ class SceneSession:
     name: str
     person: str
     folder: Path
+    take_over: bool = False
     since: float = field(default_factory=time.time)
     ready: asyncio.Event = field(default_factory=asyncio.Event)
     port: int = 0
@@ -114,12 +116,18 @@ class SceneSessions:
         """The sessions of a person that run."""
         return [s for s in self._all.values() if s.person == person and s.running]
 
-    async def open(self, person: str, mode: Mode, name: str, folder: Path) -> SceneSession:
-        """Open a scene, or find it open, and wait until it can be shown or failed."""
+    async def open(
+        self, person: str, mode: Mode, name: str, folder: Path, *, take_over: bool = False
+    ) -> SceneSession:
+        """Open a scene, or find it open, and wait until it can be shown or failed.
+
+        Args:
+            take_over: from a computer that is gone, see `hold_lock`.
+        """
         key = (person, mode, name)
         known = self._all.get(key)
         if known is None or not known.running:
-            known = self._all[key] = SceneSession(mode, name, person, folder)
+            known = self._all[key] = SceneSession(mode, name, person, folder, take_over)
             task = asyncio.create_task(self._run(known))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
@@ -138,17 +146,19 @@ class SceneSessions:
         words = [sys.executable, "-m", "annotator.cli", str(session.folder), "--web", "0"]
         words += [f"--annotator={session.person}"]
         words += ["--read-only"] if session.mode == "look" else []
+        words += ["--take-over"] if session.take_over and session.mode != "look" else []
         known = {TOKEN_VARIABLE: session.token, HOME_VARIABLE: "../../../"}
         session.process = process = await asyncio.create_subprocess_exec(
             *words, stdin=PIPE, stdout=DEVNULL, stderr=PIPE, env={**os.environ, **known},
             start_new_session=True,
         )  # fmt: skip
         assert process.stderr is not None
-        last = ""
+        last = error = ""
         try:
             async for line in process.stderr:
                 last = line.decode(errors="replace").strip() or last
                 logger.debug("%s (%s): %s", session.name, session.person, last)
+                error = last.removeprefix("error: ") if last.startswith("error: ") else error
                 address = _ADDRESS.search(last)
                 if address and not session.port:
                     session.port = int(address[1])
@@ -157,7 +167,7 @@ class SceneSessions:
         finally:
             was_ready, session.port = session.port > 0, 0
         if not was_ready:
-            session.problem = last.removeprefix("error: ") or "it ended before it began"
+            session.problem = error or last or "it ended before it began"
         elif session.asked_to_end or status in (0, 130, 143):
             session.asked_to_end = True
         else:

@@ -63,7 +63,9 @@ def run(args: AnnotateOptions) -> int:
 
 def _end_with_parent() -> None:
     """End this process when the server of the project is gone, however that ended."""
-    sys.stdin.buffer.read()
+    # Not by `sys.stdin`, whose lock would be held when the interpreter ends.
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
     os.kill(os.getpid(), signal.SIGTERM)
 
 

@@ -2,8 +2,8 @@
 
     python docs/pictures/project_board.py WORK
 
-Records seven synthetic scenes in WORK (once), labels some of them with known errors as three
-people would, runs `std-curate project run`, reviews, and takes pictures of the page of its server:
+Records seven synthetic scenes in WORK (once), labels some of them as three people would, runs
+`std-curate project run`, moves one label, reviews, and takes pictures of the page of its server:
 light and dark, 1366 and 1920 pixels wide, the page of a scene, and the first one for the guide.
 """
 
@@ -26,26 +26,29 @@ from std_toolkit.io.images import read_color, write_color
 from std_toolkit.project.queue import comment_scene, review_scene
 from std_toolkit.project.record import Project
 from std_toolkit.project.status import project_board
+from std_toolkit.scene import Scene
 from std_toolkit.scene.model import LabelProvenance, Labels
 
 OUT = Path(__file__).with_suffix(".jpg")
 OPTIONS = RecordingOptions(frames=6, width=640, height=360, arc_degrees=80.0)
-# Who labelled how many objects of each scene, and the shift of the last one, millimetres.
-SCENES: dict[str, tuple[str, int, float]] = {
-    "table1": ("anna", 6, 0.0),
-    "table2": ("ben", 6, 3.0),
-    "table3": ("anna", 6, 25.0),
-    "shelf1": ("cleo", 6, 0.0),
-    "shelf2": ("ben", 4, 0.0),
-    "sink1": ("", 0, 0.0),
-    "sink2": ("", 0, 0.0),
+# Who labelled how many objects of each scene.
+SCENES: dict[str, tuple[str, int]] = {
+    "table1": ("anna", 6),
+    "table2": ("ben", 6),
+    "table3": ("anna", 6),
+    "shelf1": ("cleo", 6),
+    "shelf2": ("ben", 4),
+    "sink1": ("", 0),
+    "sink2": ("", 0),
 }
+# A label that is moved after it was refined, and by how much, metres.
+MOVED = ("table2", "glass", 0.012)
 SIZES = ((1366, 768), (1920, 1080))
 
 
 def make_scene(work: Path, name: str, seed: int) -> Path:
-    """A scene with the labels of a person, some of them shifted."""
-    by, count, shift_mm = SCENES[name]
+    """A scene with the labels of a person."""
+    by, count = SCENES[name]
     root, recording = work / name, work / "recordings" / name
     if root.is_dir():
         return root
@@ -53,19 +56,28 @@ def make_scene(work: Path, name: str, seed: int) -> Path:
     scene = scene_from_truth(recording, root)
     labels = []
     for k, label in enumerate(scene.labels.labels[:count]):
-        assert label.T_world_obj is not None
-        shift = shift_mm / 1000 if k == count - 1 else 0.0
-        moved = SE3.exp([shift, 0, 0, 0, 0, 0]) @ SE3.from_matrix(label.T_world_obj)
         made = LabelProvenance(
             time=f"2026-11-2{seed}T{9 + k:02d}:12:00Z", tool="std-annotate", version="0",
             refinement="", hands_on_s=20.0 + 7 * k,
         )  # fmt: skip
-        pose = moved.matrix().ravel().tolist()
-        labels.append(
-            msgspec.structs.replace(label, annotator=by, T_world_obj=pose, provenance=made)
-        )
+        labels.append(msgspec.structs.replace(label, annotator=by, provenance=made))
     scene.save_labels(Labels(labels=labels))
     return root
+
+
+def move(root: Path) -> None:
+    """Move one label along the table, and check the scene again."""
+    scene = Scene.open(root)
+    labels = []
+    for label in scene.labels.labels:
+        if scene.objects.object(label.object).name == MOVED[1]:
+            assert label.T_world_obj is not None
+            pose = SE3.exp([MOVED[2], 0, 0, 0, 0, 0]) @ SE3.from_matrix(label.T_world_obj)
+            label = msgspec.structs.replace(label, T_world_obj=pose.matrix().ravel().tolist())
+        labels.append(label)
+    scene.save_labels(Labels(labels=labels))
+    for command in ("render", "check"):
+        curate([command, str(root), "--workers", "1"])
 
 
 def make_project(work: Path) -> Project:
@@ -76,6 +88,7 @@ def make_project(work: Path) -> Project:
         words = ["--people", "anna", "ben", "cleo", "--twice-every", "0"]
         assert curate(["project", "create", str(root), "--scenes", *folders, *words]) == 0
         curate(["project", "run", str(root), "--workers", "1"])
+        move(work / MOVED[0])
         project = Project.open(root)
         comment_scene(project, "table2", by="cleo", text="the handle is behind the bottle")
         review_scene(project, "shelf1", by="ben", send_back="the glass floats above the table")

@@ -16,6 +16,7 @@ from PySide6.QtWidgets import QDialog
 
 from annotator.qt.board_panel import BoardPage
 from annotator.session import Session
+from std_toolkit.io import locks
 from std_toolkit.io.locks import DEAD_S
 from std_toolkit.project.record import Project, Rules, create_project
 from std_toolkit.scene.review import read_reviews
@@ -107,6 +108,7 @@ def test_a_stranger_looks_only_and_a_scene_that_is_held_names_its_holder(
     root = lab.folder(lab.find("fits"))
     with monkeypatch.context() as there:
         there.setattr(socket, "gethostname", lambda: "lab2")
+        there.setattr(locks, "BEAT_S", 1e6)
         held = Session.open(root, annotator="Ann")
     QTest.mouseClick(page.open_button, LEFT)
     page = board(bench)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import socket
+import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -12,7 +15,11 @@ from aiohttp import WSServerHandshakeError
 from board_lab import PEOPLE, Visitor, make_lab
 
 from annotator.cli import main
+from annotator.session import Session
 from annotator.web.board_app import BoardServer
+from std_toolkit.errors import ToolkitError
+from std_toolkit.io import locks
+from std_toolkit.io.locks import DEAD_S
 from std_toolkit.project.record import Project
 from std_toolkit.project.status import project_board
 from std_toolkit.scene.review import read_reviews
@@ -176,6 +183,33 @@ def test_a_scene_that_cannot_be_opened_says_why(lab: Lab) -> None:
             assert status == 500 and "project.json" in page
 
     visit(lab, work)
+
+
+def test_a_scene_of_a_computer_that_is_gone_is_taken_over(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project, tokens = lab
+    root = project.folder(project.find("bare"))
+
+    async def work(url: str) -> None:
+        async with Visitor(url, tokens["Ben"]) as ben:
+            assert "Ann (lab2) has it open" in (await ben.get("/"))[1]
+            status, page = await ben.post("/scenes/bare/open", mode="edit")
+            assert status == 409 and 'name="take_over"' in page, page
+            assert "annotator Ann" in page
+            status, page = await ben.post("/scenes/bare/open", mode="edit", take_over="1")
+            assert status == 200 and page.startswith("/at/edit/bare/")
+
+    with monkeypatch.context() as there:
+        there.setattr(socket, "gethostname", lambda: "lab2")
+        there.setattr(locks, "BEAT_S", 1e6)
+        held = Session.open(root, annotator="Ann")
+    old = time.time() - DEAD_S - 60
+    os.utime(root / ".std/annotate.lock", (old, old))
+    visit(lab, work)
+    with pytest.raises(ToolkitError, match="took this scene over"):
+        held.undo()
+    held.close()
 
 
 @pytest.mark.parametrize(
