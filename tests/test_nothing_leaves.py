@@ -68,6 +68,7 @@ ROWS: dict[str, dict[str, tuple[str, int]]] = {
         "infer-list": (f"{SPLIT} --out il --engine serial", 0),
         "order": ("--data rec", 1),
         "self-test": ("--networks shipped", 0),
+        "speed": ("--method dfnet --preset compact --repeats 1", 0),
         "verify": ("bd", 0),
         "priors": (
             "--how barycentre --instances 1 --points 64 --categories bottle --out p.safetensors",
