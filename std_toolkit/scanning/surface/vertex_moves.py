@@ -111,7 +111,7 @@ def _robust_mean(
     mean[owner] = values[upper[first]]
     for _ in range(_ROUNDS):
         w = weights / (1 + ((values - mean[which]) / spread) ** 2) ** 2
-        near = np.bincount(which, w, minlength=count)
+        near = np.asarray(np.bincount(which, w, minlength=count), np.float64)
         mean = np.bincount(which, w * values, minlength=count) / np.maximum(near, 1e-9)
     return mean, near
 
