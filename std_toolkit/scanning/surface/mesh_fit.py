@@ -43,6 +43,8 @@ class MeshFitSettings(Settings):
     """largest weight of all depth measurements of a vertex"""
     most_outline: float = limit(2.0, source="as above, for outlines")
     """largest weight of all outlines of a vertex"""
+    many: float = limit(48.0, source="photos around an object that show each outline twice")
+    """number of photos from which outlines count as single measurements"""
     edge: float = limit(0.45, source="26 degrees: noise is less, an edge more")
     """difference of unit normals from which faces count as parts of different sides"""
 
@@ -85,7 +87,9 @@ def fit_mesh(
         drawn = n % 2 == 0
         if drawn:
             rim = outline_moves(vertices, faces, normals, views, threads=threads)
-        held = np.minimum(rim[1], limits.most_outline)
+        # Each outline of few photos is the only one of its place.
+        alone = max(1.0, limits.many / len(views))
+        held = np.minimum(rim[1], limits.most_outline) * alone**2
         # An outline that was followed once holds the vertex where it is.
         asked = rim[0] if drawn else np.zeros(len(vertices))
         wanted = filtered_normals(vertices, faces, pairs, edge=limits.edge)

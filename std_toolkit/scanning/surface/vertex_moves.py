@@ -75,11 +75,10 @@ def depth_moves(
         if m is None or not len(index) or not len(weight):
             continue
         local = view.T_world_cam.inverse() @ vertices[index]
-        x, y = np.rint(view.camera.project(local).T).astype(np.int64)
-        x, y = x - m.x, y - m.y
+        uv = np.rint(view.camera.project(local)).astype(np.int64) - [m.x, m.y]
         h, w = m.depth.shape
-        within = (x >= 0) & (y >= 0) & (x < w) & (y < h)
-        index, local, x, y = index[within], local[within], x[within], y[within]
+        within = (uv >= 0).all(axis=1) & (uv < [w, h]).all(axis=1)
+        index, local, (x, y) = index[within], local[within], uv[within].T
         pixel = np.stack([x + m.x, y + m.y], axis=1).astype(np.float64)
         there = view.camera.unproject(pixel) * m.depth[y, x, None]
         n = m.normal[y, x].astype(np.float64)
@@ -112,7 +111,7 @@ def _robust_mean(
     mean[owner] = values[upper[first]]
     for _ in range(_ROUNDS):
         w = weights / (1 + ((values - mean[which]) / spread) ** 2) ** 2
-        near = np.bincount(which, w, minlength=count)
+        near = np.asarray(np.bincount(which, w, minlength=count), np.float64)
         mean = np.bincount(which, w * values, minlength=count) / np.maximum(near, 1e-9)
     return mean, near
 

@@ -12,8 +12,8 @@ GRID = Grid.around(np.array([-0.05, -0.05, 0.0]), np.array([0.05, 0.05, 0.05]), 
 
 def block(half: float, height: float) -> np.ndarray:
     """Signed distance to an upright block on the table, about."""
-    z, y, x = np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij")
-    x, y, z = (o + GRID.step * n for o, n in zip(GRID.origin, (x, y, z), strict=True))
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij"), axis=-1)
+    x, y, z = np.moveaxis(GRID.points(index.reshape(-1, 3)).reshape(*GRID.shape, 3), -1, 0)
     sides = np.maximum(np.abs(x), np.abs(y)) - half
     return np.maximum(sides, np.maximum(z - height, -z)).astype(np.float32)
 
