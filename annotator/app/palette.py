@@ -49,7 +49,7 @@ class Palette:
     bad_mark: str
     on_mark: str = "#ffffff"
 
-    def grade(self, grade: Grade) -> str:
+    def grade(self, grade: str) -> str:
         """Return the colour of the words of a verdict."""
         inks = {"fits": self.good, "doubtful": self.warning, "wrong": self.bad}
         return inks.get(grade, self.muted)

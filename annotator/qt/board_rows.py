@@ -75,7 +75,7 @@ class SceneRows(QtWidgets.QStyledItemDelegate):
             shown = painter.fontMetrics().elidedText(words, Qt.TextElideMode.ElideRight, width)
             painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, shown)
             if i == 0:
-                ink = theme.GRADE_INK.get(card.verdict, theme.MUTED)
+                ink = theme.look.palette.grade(card.verdict)
                 painter.setPen(QColor(theme.TEXT if chosen else ink))
                 place = QRect(text.right() - 88, text.top(), 88, line)
                 right = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter

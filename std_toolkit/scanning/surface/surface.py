@@ -95,9 +95,9 @@ def agreeing(
             p, z = views[j].project(points)
             p = np.where(np.isfinite(p), p, -1e6)
             said = [_agree(other, p, z) for other in others if other is not None]
-            agreed = np.any([yes for yes, _ in said], axis=0)
+            agreed = np.any(np.stack([yes for yes, _ in said]), axis=0)
             votes += agreed
-            against += np.any([no for _, no in said], axis=0) & ~agreed
+            against += np.any(np.stack([no for _, no in said]), axis=0) & ~agreed
         rays = view.camera.unproject(uv)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         facing = np.abs((m.normal[v, u] * rays).sum(axis=1))

@@ -26,6 +26,7 @@ from annotator.session import (
 from annotator.session.merge import differ
 from std_toolkit import __version__
 from std_toolkit.geometry import SE3
+from std_toolkit.io.documents import utc_text
 from std_toolkit.scene import LabelProvenance, Scene
 
 
@@ -44,7 +45,10 @@ class TestWhatIsWritten:
         with Session.open(loose_root, annotator="ann") as session:
             session.apply(SetPoses.one("box_1", 1, POSE, method="typed"))
             yesterday = "2020-01-01T00:00:00.000Z"
-            monkeypatch.setattr("annotator.session.editing._now", lambda: yesterday)
+            monkeypatch.setattr(
+                "annotator.session.editing.utc_text",
+                lambda moment=None, **form: utc_text(moment, **form) if moment else yesterday,
+            )
             session.apply(SetPoses.one("box_1", 2, POSE, method="refine"))
             session.save()
         label = Scene.open(loose_root).labels.of(1)
