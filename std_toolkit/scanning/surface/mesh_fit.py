@@ -26,7 +26,7 @@ from std_toolkit.settings import Settings, limit
 
 _STEPS = 4
 # Times that the normals of all faces are averaged in a step.
-_AVERAGED = 15
+_AVERAGED = 5
 # Largest move of a vertex in a step, in voxels.
 _FARTHEST = 2.2
 
