@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from annotator.app.events import Level
-from annotator.app.verdicts import Grade
 
 
 @dataclass(frozen=True, kw_only=True)
