@@ -112,7 +112,7 @@ SMALLEST_TEXT, USUAL_TEXT, LARGEST_TEXT, TEXT_STEP = 90, 100, 150, 10
 
 
 def stepped(percent: int, steps: int) -> int:
-    """Return a text size that is so many steps larger, within the limits."""
+    """Return a text size that is some steps larger, within the limits."""
     return min(max(percent + TEXT_STEP * steps, SMALLEST_TEXT), LARGEST_TEXT)
 
 

@@ -24,7 +24,7 @@ from annotator.web.board_page import board_html, headers, scene_html
 from annotator.web.guard import PERSON, guard, is_loopback
 from annotator.web.reverse_proxy import pass_on
 from annotator.web.scene_sessions import Mode, SceneSessions
-from annotator.web.web_app import tell_address, until_signal
+from annotator.web.web_app import cannot_listen, tell_address, until_signal
 from std_toolkit.checks.check_step import report_path
 from std_toolkit.errors import ToolkitError, check_known
 from std_toolkit.log import logger
@@ -128,12 +128,7 @@ class BoardServer:
                 caring = asyncio.create_task(self._care())
                 await asyncio.Event().wait()
             except OSError as error:
-                raise ToolkitError(
-                    f"cannot listen: {error.strerror or error}",
-                    field="--web",
-                    value=f"{host}:{port}",
-                    hint="is the port in use? 0 takes a free one",
-                ) from error
+                raise cannot_listen(error, host, port) from error
             finally:
                 if caring is not None:
                     caring.cancel()

@@ -169,14 +169,19 @@ async def serve(
             thread=True,
         )
     except OSError as error:
-        raise ToolkitError(
-            f"cannot listen: {error.strerror or error}",
-            field="--web",
-            value=f"{host}:{port}",
-            hint="is the port in use? 0 takes a free one",
-        ) from error
+        raise cannot_listen(error, host, port) from error
     finally:
         front_end.close()
+
+
+def cannot_listen(error: OSError, host: str, port: int) -> ToolkitError:
+    """Say that the address is not to be had."""
+    return ToolkitError(
+        f"cannot listen: {error.strerror or error}",
+        field="--web",
+        value=f"{host}:{port}",
+        hint="is the port in use? 0 takes a free one",
+    )
 
 
 def tell_address(host: str, port: int, token: str | None, *, people: bool = False) -> None:

@@ -1,6 +1,6 @@
 """Shards of an exported BOP split, in the form BOP-webdataset.
 
-`SPLIT_web/shard-NNNNNN.tar` has files SCENE_IMAGE.PART of up to so many images: rgb.png, depth.png,
+`SPLIT_web/shard-NNNNNN.tar` has files SCENE_IMAGE.PART of some images: rgb.png, depth.png,
 camera.json, gt.json, gt_info.json, and mask.json and mask_visib.json with run lengths by the index
 of the object. `key_to_shard.json` tells in which shard an image is.
 

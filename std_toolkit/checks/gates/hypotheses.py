@@ -115,10 +115,6 @@ class JudgeSettings(Settings):
     """the same for a rotation"""
 
 
-# Of a motion of some millimetres: to some hundredths.
-_HALVINGS = 7
-
-
 @dataclass(frozen=True, eq=False)
 class Weighed:
     """The verdict on the pose of a label.
@@ -352,7 +348,7 @@ def _is_blind(at: Located, scatter: Scatter, options: CheckOptions) -> bool:
 
     A fault of twice a limit may be called *fits*, or a label in place anything else.
     """
-    from scipy.special import ndtr  # scipy.stats loads for a second
+    from scipy.special import ndtri  # scipy.stats loads for a second
 
     limits = JudgeSettings.current()
     for part, size in ((SHIFT, options.max_motion_mm), (TURN, options.max_motion_deg)):
@@ -362,16 +358,17 @@ def _is_blind(at: Located, scatter: Scatter, options: CheckOptions) -> bool:
             continue  # the symmetry leaves nothing to know
         direction = np.zeros(6)
         direction[part] = axes[:, -1]
-        fault, low, high = 2 * size, 0.0, 2 * size
-        for _ in range(_HALVINGS):  # the longest motion that is called so if it is measured
-            middle = (low + high) / 2
-            measured = Located(middle * direction, at.covariance)
+
+        def fits(length: float, direction: Array = direction) -> bool:
+            measured = Located(length * direction, at.covariance)
             weighed = _explanations([_Source("", measured)], scatter)
-            fits = _inside(weighed, options)[0] >= limits.fits
-            low, high = (middle, high) if fits else (low, middle)
-        deviation = np.sqrt(values[-1])
-        missed, refused = ndtr((low - fault) / deviation), 2 * ndtr(-low / deviation)
-        if max(missed, refused) > limits.blind:
+            return _inside(weighed, options)[0] >= limits.fits
+
+        # Measured motions that a fault and a label in place exceed with this probability.
+        deviation = float(np.sqrt(values[-1]))
+        of_fault = 2 * size + float(ndtri(limits.blind)) * deviation
+        in_place = -float(ndtri(limits.blind / 2)) * deviation
+        if of_fault <= 0 or fits(of_fault) or not fits(in_place):
             return True
     return False
 
