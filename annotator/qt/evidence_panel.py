@@ -35,21 +35,29 @@ class EvidencePanel(Panel):
         top.addWidget(self.word)
         top.addStretch(1)
         top.addWidget(self.name)
-        self._grid = QtWidgets.QGridLayout()
+        rows = QtWidgets.QWidget()
+        rows.setObjectName("rows")
+        self._rows = QtWidgets.QScrollArea()
+        self._rows.setWidget(rows)
+        self._rows.setWidgetResizable(True)
+        self._rows.setFrameShape(QtWidgets.QFrame.Shape.NoFrame)
+        self._rows.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._rows.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self._grid = QtWidgets.QGridLayout(rows)
         self._grid.setContentsMargins(0, 2, 0, 0)
         self._grid.setHorizontalSpacing(8)
         self._grid.setVerticalSpacing(2)
         self._grid.setColumnStretch(1, 1)
         card = QtWidgets.QFrame()
         card.setObjectName("card")
-        column = QtWidgets.QVBoxLayout(card)
+        self._column = column = QtWidgets.QVBoxLayout(card)
         column.setContentsMargins(8, 4, 8, 6)
         column.setSpacing(2)
         column.addLayout(top)
         for text in (self.reason, self.weak):
             text.setWordWrap(True)
             column.addWidget(text)
-        column.addLayout(self._grid)
+        column.addWidget(self._rows)
         layout = QtWidgets.QVBoxLayout(self)
         layout.setContentsMargins(6, 4, 6, 2)
         layout.addWidget(card)
@@ -57,6 +65,22 @@ class EvidencePanel(Panel):
 
     def fit_text(self) -> None:
         self.rows = []  # the grid keeps the size of its labels otherwise
+
+    def fit_height(self, room: int) -> int:
+        """Let the rows scroll where the card is higher than `room`; returns its height, pixels."""
+        self._rows.setFixedHeight(0)
+        # The outer layout would still tell the height before.
+        self._column.activate()
+        layout = self.layout()
+        assert layout is not None
+        rest = layout.heightForWidth(self.width())
+        least = 2 * self.fontMetrics().height()
+        needed = self._grid.totalHeightForWidth(self._rows.width())
+        if needed < 0:  # no text is wrapped
+            needed = self._grid.totalSizeHint().height()
+        height = min(needed, max(room - rest, least))
+        self._rows.setFixedHeight(height)
+        return rest + height
 
     def refresh(self) -> None:
         c = self._controller
@@ -98,6 +122,10 @@ class EvidencePanel(Panel):
                 tip.setWordWrap(True)
                 self._grid.addWidget(tip, line, 0, 1, 3)
                 line += 1
+        # Labels count for the height once they are shown.
+        for place in range(self._grid.count()):
+            if (item := self._grid.itemAt(place)) and (widget := item.widget()):
+                widget.show()
 
     def _button(self, row: EvidenceRow) -> QtWidgets.QPushButton:
         button = QtWidgets.QPushButton(row.label)

@@ -185,6 +185,7 @@ QLabel#title {{ font-size: {2 * points:.1f}pt; font-weight: 300; }}
 QListWidget#roomy::item {{ padding: 5px 4px; border-radius: 3px; }}
 QListWidget#roomy::item:hover {{ background: {p.hover}; }}
 QFrame#card {{ background: {p.raised}; border: 1px solid {p.border}; border-radius: 6px; }}
+QFrame#card QScrollArea, QWidget#rows {{ background: transparent; }}
 QFrame#tile {{ border: 1px solid {p.window}; }}
 QFrame#tile[inhand="true"] {{ border-color: {p.accent}; }}
 QWidget#corner {{ background: {p.window}; border-radius: 4px; }}

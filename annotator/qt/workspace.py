@@ -139,15 +139,18 @@ class Workspace(QWidget):
         self._share_side()
 
     def _share_side(self) -> None:
-        if not self._shared:
-            return
         total = self.side.height()
-        card = _needed(self.evidence) if self.evidence.isVisible() else 0
+        least = self.objects.minimumSizeHint().height()
         current = self.tabs.currentWidget()
         # Lists of meshes, points and frames can shrink; the pose panel has a fixed size.
         page = _needed(current) if current is self.pose else round(0.4 * total)
-        below = card + page + self.tabs.tabBar().height() + 8
-        objects = max(self.objects.minimumSizeHint().height(), total - below)
+        page += self.tabs.tabBar().height() + 8
+        card = 0
+        if self.evidence.isVisible():
+            card = self.evidence.fit_height(total - least - page)
+        if not self._shared:
+            return
+        objects = max(least, total - card - page)
         self.side.setSizes([objects, max(total - objects, 1)])
 
     def _fit_text(self) -> None:

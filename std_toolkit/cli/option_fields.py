@@ -1,6 +1,7 @@
 """The fields of a dataclass as options of a command line, and the dataclass of their values."""
 
 import dataclasses
+import functools
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -38,13 +39,7 @@ class OptionField:
 
 def option_fields(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[OptionField]:
     """Options of a dataclass, with those of nested ones; `given` holds other defaults."""
-    from docstring_parser import parse_from_object
-
-    texts = {
-        text.arg_name: " ".join((text.description or "").split())
-        for c in reversed(kind.__mro__[:-1])
-        for text in parse_from_object(c).params
-    }
+    texts = _help_texts(kind)
     for field, hint, default in shown_fields(kind, given):
         if _is_record(hint):
             yield from option_fields(hint, default)
@@ -54,6 +49,17 @@ def option_fields(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator
         yield OptionField(
             field.name, name, hint, default, texts.get(field.name, ""), field.metadata
         )
+
+
+@functools.cache  # reading sources takes a fifth of the time of a help page
+def _help_texts(kind: type[Any]) -> dict[str, str]:
+    from docstring_parser import parse_from_object
+
+    return {
+        text.arg_name: " ".join((text.description or "").split())
+        for c in reversed(kind.__mro__[:-1])
+        for text in parse_from_object(c).params
+    }
 
 
 def shown_fields(kind: type[Any], given: Any) -> Iterator[tuple[dataclasses.Field[Any], Any, Any]]:

@@ -38,6 +38,8 @@ def _share(bench: Bench, widget: QtWidgets.QWidget, color: str) -> float:
 def test_the_theme_changes_at_once_and_back(bench: Bench) -> None:
     space, light = bench.space, bench.space.commands.actions["light_theme"]
     parts = {space.toolbar: "window", space.objects.list: "base", space.status: "window"}
+    bench.qtbot.waitUntil(lambda: len(space.evidence.rows) > 1, timeout=60_000)
+    bench.settle()
     before = {part: bench.picture(part) for part in parts}
     refine = space.commands.actions["refine"]
     dark_icon = refine.icon().pixmap(24, 24).toImage()
@@ -99,6 +101,9 @@ def test_at_130_percent_everything_fits_into_1366_by_768(bench: Bench) -> None:
         bench.press(Qt.Key.Key_Plus, CONTROL)
     bench.settle()
     space = bench.space
+    # The card is at its highest with the verdict.
+    bench.qtbot.waitUntil(lambda: space.evidence.word.text() == "fits", timeout=60_000)
+    bench.settle()
     assert space.fontMetrics().height() > 1.2 * line
     assert (bench.shell.width(), bench.shell.height()) == (1366, 768)
     fields = [*space.pose.position, *space.pose.rotation]
