@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -177,6 +177,16 @@ def check_known(
     if value not in names:
         listed = f"{told} {', '.join(map(str, names))}"
         raise ToolkitError(problem, path=path, field=field, value=value, hint=listed)
+
+
+def listed(names: Sequence[str], most: int = 6, joint: str = ", ") -> str:
+    """The first names of a message, and the number of the others.
+
+    >>> listed(["a", "b", "c"], 2)
+    'a, b and 1 more'
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return joint.join(names[:most]) + more
 
 
 def check_options(options: Any) -> None:

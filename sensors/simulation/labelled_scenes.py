@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import msgspec
 
 from sensors.physics.graspnet import GraspNetScenes
-from std_toolkit.errors import ToolkitError, located
+from std_toolkit.errors import ToolkitError, listed, located
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.geometry.mesh import load_mesh
 from std_toolkit.importers import bop_objects
@@ -393,6 +393,4 @@ def _even(count: int, most: int) -> list[int]:
 def _tell_left_out(where: SceneFolder, why: str, names: Iterable[str]) -> None:
     every = list(names)
     if every:
-        more = f" and {len(every) - _NAMED} more" if len(every) > _NAMED else ""
-        listed = ", ".join(every[:_NAMED])
-        logger.warning("%s: left out, %s: %s%s", where.folder, why, listed, more)
+        logger.warning("%s: left out, %s: %s", where.folder, why, listed(every, _NAMED))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from std_toolkit.errors import listed
 from std_toolkit.html.table import Cell, Column, Row, Table
 from std_toolkit.io.regular import file_sizes
 from std_toolkit.scene.check_flags import (
@@ -99,8 +100,7 @@ class SceneSummary:
         if self.reference:
             rows.append(("reference", f"from the import: {', '.join(self.reference)}"))
         if self.missing_files:
-            more = f" and {len(self.missing_files) - 3} more" if len(self.missing_files) > 3 else ""
-            rows.append(("MISSING", ", ".join(self.missing_files[:3]) + more))
+            rows.append(("MISSING", listed(self.missing_files, 3)))
         rows.append(("next", self.next_command or f"complete; {self._export()}"))
         return [f"{key:<13} {value}" for key, value in rows]
 

@@ -39,7 +39,7 @@ class OptionField:
 
 def option_fields(kind: type[Any], given: Any = dataclasses.MISSING) -> Iterator[OptionField]:
     """Options of a dataclass, with those of nested ones; `given` holds other defaults."""
-    texts = _help_texts(kind)
+    texts = _help_texts(kind)  # type: ignore[arg-type]  # classes are hashable
     for field, hint, default in shown_fields(kind, given):
         if _is_record(hint):
             yield from option_fields(hint, default)

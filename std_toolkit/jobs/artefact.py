@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from std_toolkit import __version__
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, listed
 from std_toolkit.io.atomic import atomic_path
 from std_toolkit.io.documents import (
     digest_file,
@@ -144,8 +144,7 @@ class Artefact:
             for name in differences(then.options, now.options)
         ]
         found = found or changed_files(self.root, then.outputs)
-        more = len(found) - _NAMED
-        return ", ".join(found[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+        return listed(found, _NAMED)
 
 
 def record_path(root: Path, name: str) -> Path:

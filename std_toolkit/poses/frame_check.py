@@ -11,7 +11,7 @@ the points of the model, unique or not. Where a pattern repeats, both poses find
 the frame cannot be judged.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ import numpy as np
 import pycolmap
 
 from std_toolkit.arrays import Array
+from std_toolkit.errors import listed
 from std_toolkit.geometry import SE3, Camera
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
@@ -119,17 +120,12 @@ class FrameVerdicts:
                 for f, e in sorted(self.wrong.items())
             ]
             head = f"the pose of {len(each)} frames does not fit the others"
-            found.append(f"{head}: {_listed(each)}")
+            found.append(f"{head}: {listed(each, 5)}")
         if self.unclear:
             each = [f"{names[f]} ({why})" for f, why in sorted(self.unclear.items())]
             head = f"{len(each)} frames cannot be judged, their poses are kept"
-            found.append(f"{head}: {_listed(each)}")
+            found.append(f"{head}: {listed(each, 5)}")
         return found
-
-
-def _listed(each: Sequence[str]) -> str:
-    more = f" and {len(each) - 5} more" if len(each) > 5 else ""
-    return ", ".join(each[:5]) + more
 
 
 def points_of_others(

@@ -12,6 +12,7 @@ import numpy as np
 import pycolmap
 
 from std_toolkit import errors, log
+from std_toolkit.errors import listed
 from std_toolkit.geometry import SE3, Camera, depth_maps, rotation_angle
 from std_toolkit.jobs import JobOptions
 from std_toolkit.options import PoseOptions
@@ -210,8 +211,7 @@ def known_gates(gates: list[Gate], known: KnownPoses, frames: Sequence[Frame]) -
     lost = [f.name for f in frames if f.id not in known.row]
     advice = {
         "keyframes_registered": "correct the poses of the frames in the notes",
-        "frames_registered": f"{known.filed.path.name} has no pose for {', '.join(lost[:4])}"
-        + (f" and {len(lost) - 4} more" if len(lost) > 4 else "")
+        "frames_registered": f"{known.filed.path.name} has no pose for {listed(lost, 4)}"
         if lost
         else "correct the poses of the frames in the notes",
         "mean_reprojection_px": "the poses are off by more than the images allow: try "

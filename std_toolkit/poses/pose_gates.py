@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from std_toolkit.errors import listed
 from std_toolkit.options import PoseOptions
 from std_toolkit.scene import CameraPoses, Frame, FramePose
 from std_toolkit.scene.model import Gate, ScaleReport
@@ -159,8 +160,7 @@ def _stretches(frames: Sequence[Frame], lost: Sequence[str]) -> str:
                 runs.append([frame.name])
         previous_missing = frame.name in missing
     shown = [run[0] if len(run) == 1 else f"{run[0]}..{run[-1]}" for run in runs]
-    more = f" and {len(shown) - 4} more" if len(shown) > 4 else ""
-    return f"frame {', '.join(shown[:4])}{more}"
+    return f"frame {listed(shown, 4)}"
 
 
 def _at_least(name: str, value: float, limit: float, advice: str) -> Gate:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, listed
 from std_toolkit.io.atomic import sweep_temporaries
 from std_toolkit.io.documents import read_document, write_document
 from std_toolkit.io.locks import hold_lock
@@ -135,12 +135,11 @@ class Project:
             if given == scene.name or Path(given).resolve() == self.folder(scene).resolve():
                 return scene
         names = [scene.name for scene in self.record.scenes]
-        shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         raise ToolkitError(
             "the project has no such scene",
             path=self.root,
             value=given,
-            hint=f"one of {shown}" if names else "add it with `std-curate project add`",
+            hint=f"one of {listed(names, 8)}" if names else "add it with `std-curate project add`",
         )
 
     @contextmanager

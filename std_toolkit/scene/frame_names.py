@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, listed
 from std_toolkit.scene.model import Frame
 
 _SHOWN = 3
@@ -51,7 +51,7 @@ def find_frame(frames: Sequence[Frame], given: str | int, *, root: Path | str) -
             "several frames have this file name",
             path=root,
             value=given,
-            hint=f"give its folder, too: {_listed([f.color for f in by_file])}",
+            hint=f"give its folder, too: {listed([f.color for f in by_file], _SHOWN)}",
         )
     named = [f for f in frames if f.name == text]
     is_number = text.isascii() and text.isdigit()
@@ -68,12 +68,12 @@ def find_frame(frames: Sequence[Frame], given: str | int, *, root: Path | str) -
         return next(iter(meanings.values()))[0]
     if meanings:
         files = [f.color for f, _ in meanings.values()]
-        said = _listed([f"{how} {f.color}" for f, how in meanings.values()], " and ")
+        said = listed([f"{how} {f.color}" for f, how in meanings.values()], _SHOWN, " and ")
         raise ToolkitError(
             f"this number means several frames: it is {said}",
             path=root,
             value=given,
-            hint=f"give the file name: {_listed([Path(x).name for x in files], ' or ')}",
+            hint=f"give the file name: {listed([Path(x).name for x in files], _SHOWN, ' or ')}",
         )
     raise ToolkitError(
         f"no such frame; {_range(frames)}",
@@ -96,8 +96,3 @@ def _range(frames: Sequence[Frame]) -> str:
         f"the scene has {len(frames)} frames, ids {first.id} to {last.id}, "
         f"{first.color} to {last.color}"
     )
-
-
-def _listed(texts: Sequence[str], joint: str = ", ") -> str:
-    more = f" and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
-    return joint.join(texts[:_SHOWN]) + more

@@ -22,13 +22,13 @@ from std_toolkit.checks.gates.gate import (
     Reading,
     Readings,
     SceneGate,
-    listed,
     no_exemption,
 )
 from std_toolkit.checks.gates.hypotheses import JudgeSettings
 from std_toolkit.checks.measure.frame_evidence import FrameEvidence
 from std_toolkit.checks.measure.frame_motion import Displaced
 from std_toolkit.checks.result import CheckWarning, FrameCheck, ObjectCheck, ObjectFrameCheck
+from std_toolkit.errors import listed
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.model import DIFFUSE_MATERIALS
 from std_toolkit.settings import Settings, limit
@@ -175,8 +175,7 @@ def frame_ranges(ids: Sequence[int], limit: int = 8) -> str:
             runs[-1][1] = i
         else:
             runs.append([i, i])
-    text = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs[:limit])
-    return text + (f" and {len(runs) - limit} more" if len(runs) > limit else "")
+    return listed([str(a) if a == b else f"{a}-{b}" for a, b in runs], limit)
 
 
 def _unreadable(measured: Measured) -> Reading | None:

@@ -43,10 +43,10 @@ from std_toolkit.checks.result import (
     SceneSummary,
     Verdict,
 )
+from std_toolkit.errors import listed
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene import CameraPoses
 
-_MOST_NAMES = 6
 # Verdicts that fail a scene.
 REFUSED: tuple[Verdict, ...] = ("doubtful", "wrong")
 
@@ -268,12 +268,6 @@ def unseen(item: ObjectCheck, measured: Measured) -> str:
     """Reason for the exemption of an object that no frame shows well enough."""
     no_label = unlabelled(item, measured)
     return no_label or ("" if item.frames_seen else "no frame shows enough of it")
-
-
-def listed(names: Sequence[str], most: int = _MOST_NAMES) -> str:
-    """The first names, and the number of the others."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
 
 
 Readings = Sequence[tuple[ObjectCheck, Reading]]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from std_toolkit.checks.gates.gate import accepts, listed
+from std_toolkit.checks.gates.gate import accepts
 from std_toolkit.checks.result import CheckGate, ObjectCheck
+from std_toolkit.errors import listed
 from std_toolkit.options import CheckOptions
 from std_toolkit.scene.judgement import GRADES, Grade
 

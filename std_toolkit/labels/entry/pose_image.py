@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from std_toolkit.errors import ToolkitError
+from std_toolkit.errors import ToolkitError, listed
 from std_toolkit.scene.frame_names import file_number, frame_title
 from std_toolkit.scene.model import Frame
 
@@ -131,6 +131,5 @@ def _is_same(image: str, given: str) -> bool:
 def _listed(images: Sequence[str]) -> str:
     if not images:
         return "no image"
-    more = f" and {len(images) - 3} more" if len(images) > 3 else ""
     word = "image" if len(images) == 1 else "images"
-    return f"{word} {', '.join(images[:3])}{more}" + (" alone" if len(images) == 1 else "")
+    return f"{word} {listed(images, 3)}" + (" alone" if len(images) == 1 else "")
