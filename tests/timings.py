@@ -28,6 +28,9 @@ BUDGET_S = {
     "": 450.0,  # files in tests/ itself
 }
 
+# Files whose cost is shown.
+_SHOWN = 30
+
 
 def processor_time() -> float:
     """Seconds of this process and of its ended children."""
@@ -47,11 +50,13 @@ class Timings:
 
     Attributes:
         spent_s: processor seconds by package.
+        by_file_s: processor seconds by file of tests.
         slowness: of this machine, beside the one that the budgets are told for; at least 1.
     """
 
     def __init__(self) -> None:
         self.spent_s: defaultdict[str, float] = defaultdict(float)
+        self.by_file_s: defaultdict[str, float] = defaultdict(float)
         self.slowness = 1.0
         self._last = processor_time()
 
@@ -65,6 +70,7 @@ class Timings:
         """Count a part of a test for its package."""
         _, folder, *_ = f"{nodeid}//".split("/")
         self.spent_s[folder if folder in BUDGET_S else ""] += seconds
+        self.by_file_s[nodeid.partition("::")[0]] += seconds
 
     def measure_slowness(self) -> None:
         """Measure the machine while the tests run; the slowest moment counts."""
@@ -77,10 +83,15 @@ class Timings:
         return BUDGET_S[name] * self.slowness
 
     def table(self) -> list[str]:
-        """Lines: package, processor seconds, budget."""
+        """Lines: package, processor seconds, budget; then the dearest files."""
         rows = sorted(self.spent_s.items(), key=lambda row: -row[1])
+        dearest = sorted(self.by_file_s.items(), key=lambda row: -row[1])[:_SHOWN]
         return [
-            f"{name or 'tests':12}{s:8.0f} s of {self.budget_s(name):5.0f} s" for name, s in rows
+            *(
+                f"{name or 'tests':12}{s:8.0f} s of {self.budget_s(name):5.0f} s"
+                for name, s in rows
+            ),
+            *(f"{s:8.0f} s {name}" for name, s in dearest),
         ]
 
     def over(self) -> list[str]:

@@ -122,7 +122,15 @@ def test_the_label_tells_how_it_was_made(labelled: Scene) -> None:
     assert "views" in label.provenance.refinement
 
 
-@pytest.mark.parametrize("axis, degrees", [(2, 0), (0, 20), (1, -35), (2, 20), (2, -50)], ids=str)
+@pytest.mark.parametrize(
+    "axis, degrees",
+    [
+        (2, 0),
+        (2, 20),
+        *(pytest.param(*turn, marks=pytest.mark.long) for turn in [(0, 20), (1, -35), (2, -50)]),
+    ],
+    ids=str,
+)
 def test_only_the_label_is_said_to_fit(labelled: Scene, axis: int, degrees: float) -> None:
     """The verdict of window and check: the edges of this cluttered table are near every contour."""
     pose = labelled.T_world_obj(1)

@@ -91,14 +91,21 @@ def in_window(root: Path) -> dict[str, Judgement]:
 @pytest.mark.parametrize(
     ("off", "grades"),
     [
-        ({}, {BOX: "fits", "mug": "fits", "glass": "fits"}),
-        (
+        pytest.param(
+            {}, {BOX: "fits", "mug": "fits", "glass": "fits"}, id="right", marks=pytest.mark.long
+        ),
+        pytest.param(
             {BOX: Off(8), "mug": Off(-8), "glass": Off(8)},
             {BOX: "wrong", "mug": "wrong", "glass": "wrong"},
+            id="8 mm off",
+            marks=pytest.mark.long,
         ),
-        ({BOX: Off(half_turn=True)}, {BOX: "wrong", "mug": "fits", "glass": "fits"}),
+        pytest.param(
+            {BOX: Off(half_turn=True)},
+            {BOX: "wrong", "mug": "fits", "glass": "fits"},
+            id="half a turn",
+        ),
     ],
-    ids=["right", "8 mm off", "half a turn"],
 )
 def test_the_same_label_gets_the_same_word(
     synthetic_table: Path, tmp_path: Path, off: dict[str, Off], grades: dict[str, str]
