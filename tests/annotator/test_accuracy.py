@@ -69,6 +69,7 @@ def medians(tried: list[Attempt]) -> tuple[float, float]:
     return float(np.median([a.mm for a in tried])), float(np.median([a.deg for a in tried]))
 
 
+@pytest.mark.long
 def test_starts_are_as_bad_as_they_are_said_to_be(without_depth: list[Attempt]) -> None:
     by_hand = [a for a in without_depth if a.start == "hand"]
     assert min(a.start_mm for a in by_hand) > 30
@@ -90,6 +91,7 @@ def test_objects_that_the_sensor_does_not_see(with_depth: list[Attempt]) -> None
         assert deg <= 1.0, with_depth
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("material", ["diffuse", "transparent", "specular"])
 def test_three_views_without_any_depth(without_depth: list[Attempt], material: str) -> None:
     mm, deg = medians([a for a in without_depth if a.material == material])
@@ -97,6 +99,7 @@ def test_three_views_without_any_depth(without_depth: list[Attempt], material: s
     assert deg <= 1.0, without_depth
 
 
+@pytest.mark.long
 def test_no_object_is_lost(with_depth: list[Attempt], without_depth: list[Attempt]) -> None:
     tried = [*with_depth, *without_depth]
     lost = [a for a in tried if a.mm > 5 or a.deg > 3]

@@ -13,27 +13,16 @@ from std_toolkit.scene import Scene
 
 # What is tried in short; the long form tries every fault on every object.
 SHORT = (
-    "cereal_box sideways 3 mm",
-    "cereal_box sideways 5 mm",
     "cereal_box along 5 mm",
-    "cereal_box turned 2 deg",
     "cereal_box turned 180 deg",
-    "cereal_box mesh 2 % too large",
-    "cereal_box moved 20 mm in the second half",
     "soup_can upside down",
     "mug tilted 2 deg",
-    "mug turned 10 deg",
     "mug moved 20 mm in the second half",
-    "steel_bowl along 10 mm",
-    "glass upside down",
     "glass 300 mm beside",
     "glass mesh 5 % too small",
-    "glass moved 20 mm in the second half",
     "camera 3 off by 30 mm, 2 deg",
     "depth shifted by 5 px",
-    "depth shifted by 10 px",
     "poses and labels 2 % too large",
-    "depth late by a frame",
     "two objects swapped",
 )
 

@@ -243,8 +243,19 @@ def test_the_map_says_by_how_much_and_where(scene: Scene) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("textured", [True, False], ids=["textured", "bare"])
-@pytest.mark.parametrize("percent", [-3, -2, 2, 3])
+@pytest.mark.parametrize(
+    ("percent", "textured"),
+    [
+        pytest.param(
+            percent,
+            textured,
+            id=f"{percent}-{'textured' if textured else 'bare'}",
+            marks=[] if (percent, textured) in ((-2, False), (3, True)) else pytest.mark.long,
+        )
+        for percent in (-3, -2, 2, 3)
+        for textured in (True, False)
+    ],
+)
 def test_a_mesh_of_the_wrong_scale_is_told_with_its_size(
     scene: Scene, percent: int, textured: bool
 ) -> None:
