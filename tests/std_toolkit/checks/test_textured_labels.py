@@ -62,12 +62,21 @@ def faulty(study: Study, name: str, size: float) -> ObjectCheck:
 
 
 @pytest.mark.slow
-def test_faults_of_a_textured_box_are_caught(synthetic_table: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "faults",
+    [
+        pytest.param([("along", -4, 8)], id="short"),
+        pytest.param([("sideways", 4, -8), ("turn", 3, -5)], id="long", marks=pytest.mark.long),
+    ],
+)
+def test_faults_of_a_textured_box_are_caught(
+    synthetic_table: Path, tmp_path: Path, faults: list[tuple[str, float, float]]
+) -> None:
     study = Study(textured_scene(synthetic_table, tmp_path / "scene"))
     plain = study.plain()
     assert plain.passed and {o.verdict for o in plain.objects} == {"fits"}
     assert [w for w in plain.warnings if w.about == NAME and w.severity != "low"] == []
-    for name, small, large in (("sideways", 4, -8), ("along", -4, 8), ("turn", 3, -5)):
+    for name, small, large in faults:
         caught = faulty(study, name, small)
         gate = "rotation" if name == "turn" else "motion"
         found = {f.gate: f for f in caught.gates}[gate]
@@ -86,4 +95,3 @@ def test_a_right_label_on_a_mesh_of_another_shape_passes_with_words(
     study = Study(scene)
     assert box(study.plain()).verdict == "fits"
     assert faulty(study, "sideways", 8).verdict == "wrong"
-    assert faulty(study, "turn", -6).verdict == "wrong"

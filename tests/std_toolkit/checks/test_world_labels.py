@@ -16,7 +16,9 @@ REFUSED = ("doubtful", "wrong")
 
 @pytest.mark.slow
 # 224 has flat dishes and bottles of steel, which show the table at their foot.
-@pytest.mark.parametrize("seed", [201, 204, 224])
+@pytest.mark.parametrize(
+    "seed", [204, *(pytest.param(seed, marks=pytest.mark.long) for seed in (201, 224))]
+)
 def test_labels_of_unseen_kinds(seed: int, tmp_path: Path) -> None:
     scene = world_scene(seed, JUDGING, frames=8, folder=tmp_path)
     study = Study(scene)
