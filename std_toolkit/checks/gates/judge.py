@@ -16,6 +16,7 @@ from std_toolkit.checks.gates.hypotheses import weigh
 from std_toolkit.checks.gates.outcome import Outcome
 from std_toolkit.checks.measure import aggregate, contours, residuals, textures
 from std_toolkit.checks.measure.alignments import with_alignments
+from std_toolkit.checks.measure.displaced_starts import with_displaced_starts
 from std_toolkit.checks.measure.frame_evidence import frame_evidence
 from std_toolkit.checks.measure.object_motion import with_motions
 from std_toolkit.checks.measure.placements import with_placements
@@ -109,6 +110,8 @@ def judge_scene(
     planes = standing_of(scene, objects, up)
     judged = [o for o in objects if only is None or o.object in only]
     moved = with_motions(scene, judged, observed, options, up=planes.up)
+    registered = [scene.frame(f.frame) for f in observed if scene.T_world_cam(f.frame) is not None]
+    moved = with_displaced_starts(scene, moved, registered, options, up=planes.up)
     solved = {o.object: o for o in moved}
     objects = [solved.get(o.object, o) for o in objects]
     objects = with_placements(scene, objects)

@@ -8,24 +8,17 @@ all contour points gain above displaced contours, both poses locally improved.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from std_toolkit.arrays import Array
-from std_toolkit.checks.measure.contours import NOTHING, LabelCaster, object_centre
-from std_toolkit.checks.measure.edges import noise_level, smooth_image
-from std_toolkit.checks.measure.motion import MotionEquations
-from std_toolkit.checks.measure.motion_solver import Motion, solve_motion, symmetry_motions
-from std_toolkit.checks.measure.shared_errors import chance_likelihood
+from std_toolkit.checks.measure.contours import object_centre
+from std_toolkit.checks.measure.motion_solver import symmetry_motions
+from std_toolkit.checks.measure.object_views import MeasuredPose, ObjectViews
 from std_toolkit.checks.measure.wide_search import SearchedView
-from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp, so3_log
-from std_toolkit.labels.refine.problem import RefineObject, large_views
+from std_toolkit.labels.refine.problem import RefineObject
 from std_toolkit.labels.texture.alternatives import Alternative, near_symmetry
 from std_toolkit.scene import Frame, Scene
 from std_toolkit.settings import Settings, limit
@@ -34,9 +27,6 @@ from std_toolkit.settings import Settings, limit
 _FRAMES, _SILHOUETTES, _FIRST = 6, 3, 2
 # Turns that are looked at, and that pass.
 _MOST, _KEPT = 10, 2
-_REACH_PX = 16.0
-# Smoothed images in memory; neighbouring objects are compared in the same frames.
-_IMAGES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,14 +96,8 @@ class TurnComparison:
     """
 
     def __init__(self, scene: Scene, frames: Sequence[Frame]) -> None:
-        self._scene, self._frames = scene, list(frames)
-        self._poses = [T for f in self._frames if (T := scene.T_world_cam(f.id)) is not None]
-        self._cameras = [scene.camera(f) for f in self._frames]
-        self._images: OrderedDict[int, _Image | None] = OrderedDict()
-
-    @cached_property
-    def _all(self) -> LabelCaster:
-        return LabelCaster.of_scene(self._scene)
+        self._scene = scene
+        self._views = ObjectViews(scene, frames)
 
     def best(self, object_id: int, obj: RefineObject) -> TurnByContour | None:
         """The turn whose contour fits best; None without one of a similar silhouette, or with too
@@ -124,18 +108,17 @@ class TurnComparison:
             obj: the same, at its label.
         """
         T, centre = obj.T_world_obj, obj.T_world_obj @ obj.centre
-        chosen = large_views(self._cameras, self._poses, centre, obj.radius, count=_FRAMES)
+        chosen = self._views.large(centre, obj.radius, _FRAMES)
         if len(chosen) < TurnSettings.current().fewest_frames:
             return None
         near = near_symmetry(obj.vertices, obj.faces, obj.symmetry)
-        turns = near.similar([self._poses[k].inverse() @ T for k in chosen[:_SILHOUETTES]])[:_MOST]
+        seen_at = [self._views.poses[k].inverse() @ T for k in chosen[:_SILHOUETTES]]
+        turns = near.similar(seen_at)[:_MOST]
         if not turns:
             return None
-        world = T @ np.asarray(obj.vertices)
-        alone = LabelCaster({object_id: (world, np.asarray(obj.faces))})
-        views = {k: v for k in chosen if (v := self._view(k, object_id, alone)) is not None}
+        views = self._views.of_object(object_id, obj, chosen)
         free = symmetry_motions(obj.symmetry, T, object_centre(self._scene, object_id))
-        label = _Measured.of(views, np.zeros(6), free)
+        label = MeasuredPose.of(views, np.zeros(6), free)
         if label is None:
             return None
         first = {k: views[k] for k in list(views)[:_FIRST]}
@@ -146,7 +129,7 @@ class TurnComparison:
 
     def _found(
         self,
-        label: _Measured,
+        label: MeasuredPose,
         views: dict[int, SearchedView],
         obj: RefineObject,
         alternative: Alternative,
@@ -157,7 +140,7 @@ class TurnComparison:
         there_centre = moved @ centre
         motion = np.concatenate([there_centre - centre, so3_log(moved.R)])
         free = symmetry_motions(obj.symmetry, turned, there_centre)
-        there = _Measured.of(views, motion, free)
+        there = MeasuredPose.of(views, motion, free)
         if there is None:
             return None
         gains = {k: there.evidence(k) - label.evidence(k) for k in views}
@@ -171,71 +154,5 @@ class TurnComparison:
             obj.T_world_obj.inverse() @ improved,
             alternative.text,
             float(sum(gains.values())),
-            tuple(self._frames[k].id for k in order),
+            tuple(self._views.frames[k].id for k in order),
         )
-
-    def _view(self, k: int, object_id: int, alone: LabelCaster) -> SearchedView | None:
-        if k not in self._images:
-            self._images[k] = self._read(k)
-            while len(self._images) > _IMAGES:
-                self._images.popitem(last=False)
-        self._images.move_to_end(k)
-        image = self._images[k]
-        if image is None:
-            return None
-        return SearchedView(
-            alone,
-            object_id,
-            self._cameras[k],
-            self._poses[k],
-            image.smoothed,
-            image.noise,
-            _REACH_PX,
-            (image.object_id == NOTHING) | (image.object_id == object_id),
-        )
-
-    def _read(self, k: int) -> _Image | None:
-        try:
-            image = self._scene.read_color(self._frames[k])
-        except (ToolkitError, OSError):  # the check names the frame
-            return None
-        camera, pose = self._cameras[k], self._poses[k]
-        ids = np.full((camera.height, camera.width), NOTHING, np.int32)
-        within = self._all.possible(camera, pose)
-        if within.any():
-            ids[within] = self._all.cast_pixels(camera, pose, within).object_id
-        return _Image(smooth_image(image), noise_level(image), ids)
-
-
-@dataclass(frozen=True, eq=False)
-class _Image:
-    """An image with the nearest label of each pixel."""
-
-    smoothed: NDArray[np.float32]
-    noise: float
-    object_id: NDArray[np.int32]
-
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """The contours at one pose, by view, and the small motion that improves it."""
-
-    equations: dict[int, MotionEquations]
-    motion: Motion
-    chance: float
-
-    @staticmethod
-    def of(views: dict[int, SearchedView], motion: Array, free: Array) -> _Measured | None:
-        seen = {k: e for k, v in views.items() if (e := v.equations(motion)) is not None}
-        found = {k: e.after(motion) for k, e in seen.items()}
-        solved = solve_motion(list(found.values()), free)
-        if solved is None:
-            return None
-        return _Measured(found, solved, chance_likelihood(list(found.values()), solved.vector))
-
-    def evidence(self, k: int) -> float:
-        """Log likelihood of a view above displaced contours; 0 where the object is not seen."""
-        e = self.equations.get(k)
-        if e is None:
-            return 0.0
-        return e.independent * (e.likelihood(self.motion.vector) - self.chance)
