@@ -32,7 +32,7 @@ class StartSettings(Settings):
     """Where an object is looked for, and when it is there."""
 
     distance: float = limit(
-        2.4, source="profiles reach a limit beyond; 12 mm for the usual limit of 5 mm"
+        2.4, source="profiles of 16 px reach twice to four times a limit from there"
     )
     """length of a displacement, in largest motions that are accepted"""
     gain: Mapping[str, float] = limit(

@@ -27,6 +27,7 @@ def seen(
     upright_deg: float | None = None,
     size_m: float = 0.25,
     material: str = "diffuse",
+    supports: tuple[float, float] | None = None,
 ) -> Weighed:
     """The verdict on an object that contour and texture see at these motions, mm and degrees."""
     values = [Value(key="size_m", value=size_m, source="label")]
@@ -37,6 +38,8 @@ def seen(
             Value(key="motion_mm", source="contour", motion=list(contour), covariance=covariance)
         )
         values.append(Value(key="confirmed", value=1.0, source="contour", text="yes"))
+    for key, part in zip(("support", "label_support"), supports or (), strict=False):
+        values.append(Value(key=key, source="contour", value=part, std=0.09))  # type: ignore[arg-type]
     if texture is not None:
         values.append(
             Value(key="texture_mm", source="texture", motion=list(texture), covariance=covariance)
@@ -68,6 +71,15 @@ def seen(
 
 def aside(mm: float, deg: float = 0.0) -> list[float]:
     return [mm, 0.0, 0.0, 0.0, 0.0, deg]
+
+
+@pytest.mark.parametrize("off", [aside(5, 3), aside(9)])
+def test_edges_that_fit_as_well_at_the_label_accuse_no_steel(off: list[float]) -> None:
+    found = seen(off, material="specular", supports=(0.31, 0.25))
+    assert (found.verdict, found.cause) == ("unknown", "misled")
+    assert seen(off, material="specular", supports=(0.31, 0.1)).verdict in ("doubtful", "wrong")
+    # The contour of an opaque object has no reflections.
+    assert seen(off, supports=(0.31, 0.25)).verdict == "wrong"
 
 
 def test_a_label_that_both_see_in_place_fits() -> None:
