@@ -132,7 +132,9 @@ def judgement_limits(options: Mapping[str, float] | None = None) -> dict[str, fl
 
 def _subjects(scene: Scene, sizes: Mapping[str, int] | None = None) -> dict[int, str]:
     sizes = image_sizes(scene) if sizes is None else sizes
-    frames = digest_of(scene.info, scene.frame_table, scene.poses, [sizes[n] for n in _images(scene)])
+    frames = digest_of(
+        scene.info, scene.frame_table, scene.poses, [sizes[n] for n in _images(scene)]
+    )
     models = {m.id: m for m in scene.objects.models}
     meshes = digest_files(scene.root, [scene.mesh_path(m) for m in models.values()])
     return {

@@ -31,7 +31,7 @@ def findings(page: Page) -> list[str]:
     page.evaluate(_AT_REST)
     found = Axe().run(page).response["violations"]
     return [
-        f"{rule['impact']} {rule['id']}: {node['html'][:160]} {node['any'][0]['message'] if node['any'] else ''}"
+        f"{rule['impact']} {rule['id']}: {node['html'][:160]}: {node.get('failureSummary')}"
         for rule in found
         for node in rule["nodes"]
     ]
