@@ -189,7 +189,8 @@ def check_options(options: Any) -> None:
     Raises:
         ToolkitError: a value is outside its range or choices; names the first such field.
     """
-    for name, parts in _field_parts(type(options)):
+    kind: Any = type(options)
+    for name, parts in _field_parts(kind):
         value = getattr(options, name)
         if dataclasses.is_dataclass(value):
             check_options(value)

@@ -69,6 +69,10 @@ def test_the_scene_and_each_dialog(served: Served, page: Page, theme: str) -> No
     page.wait_for_selector("#card .word")
     page.wait_for_selector("#library img")
     found = {"scene": findings(page)}
+    page.keyboard.press("F6")
+    page.wait_for_selector("#objects .v-list-item:focus")
+    found["list"] = findings(page)
+    page.keyboard.press("Escape")
     page.locator("[data-menu='View']").click()
     page.wait_for_selector("[data-action='light_theme']")
     found["menu"] = findings(page)
