@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -198,12 +199,13 @@ def check_options(options: Any) -> None:
     Raises:
         ToolkitError: a value is outside its range or choices; names the first such field.
     """
-    for name, hint in get_type_hints(type(options), include_extras=True).items():
+    kind: Any = type(options)
+    for name, parts in _field_parts(kind):
         value = getattr(options, name)
         if dataclasses.is_dataclass(value):
             check_options(value)
         values = value if isinstance(value, tuple) else () if value is None else (value,)
-        for part in _parts(hint):
+        for part in parts:
             if get_origin(part) is Literal and not all(v in get_args(part) for v in values):
                 problem = f"expected one of {', '.join(map(str, get_args(part)))}"
                 raise ToolkitError(problem, field=name, value=value)
@@ -217,6 +219,12 @@ def check_options(options: Any) -> None:
                     raise ToolkitError(f"must be {words} {bound}", field=name, value=value)
         if any(isinstance(v, float) and not math.isfinite(v) for v in values):
             raise ToolkitError("must be finite", field=name, value=value)
+
+
+@cache
+def _field_parts(type_: type) -> list[tuple[str, list[Any]]]:
+    hints = get_type_hints(type_, include_extras=True)
+    return [(name, [*_parts(hint)]) for name, hint in hints.items()]
 
 
 class CheckedOptions:

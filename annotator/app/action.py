@@ -102,14 +102,9 @@ def blocked(c: Controller) -> str:
     return busy(c) if c.task is not None and c.task.alone else ""
 
 
-def cannot_queue(c: Controller) -> str:
-    """Say why no computation on the selected object can start or wait for its turn."""
-    return not_placed(c) or blocked(c)
-
-
 def cannot_compute(c: Controller) -> str:
-    """Say why no computation on the selected object can start."""
-    return not_placed(c) or busy(c)
+    """Say why no computation on the selected object can start, or wait for its turn."""
+    return not_placed(c) or blocked(c)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Everything that can be done now as a list to search: actions, objects and frames, by name."""
+"""Everything that can be done now as a list to search: actions, objects, meshes and frames."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from annotator.app.action import read_only
 from annotator.app.action_table import BY_ID, available_actions
+from annotator.app.mesh_folder import meshes_to_add
+from annotator.app.placing import add_object
+from std_toolkit.errors import check_known
 
 if TYPE_CHECKING:
     from annotator.app.controller import Controller
@@ -22,12 +26,12 @@ class Command:
     """One row of the list.
 
     Attributes:
-        kind: "action", "object" or "frame".
-        target: id of the action, name of the object, or number of the frame.
+        kind: "action", "object", "mesh" or "frame".
+        target: id of the action, name of the object or mesh, or number of the frame.
         title: what it does, such as "Select mug_3".
         where: menu of an action, such as "Object/Flip".
         keys: of an action, as Qt writes them.
-        tip: description of an action, file of a frame.
+        tip: description of an action, file of a frame or of a mesh that is not in the scene yet.
         problem: why it cannot be run now, or "".
     """
 
@@ -59,12 +63,15 @@ def run(c: Controller, kind: str, target: str) -> None:
     """Run a row; one that cannot be run now says why.
 
     Raises:
-        ToolkitError: the object or the frame does not exist.
+        ToolkitError: the object, the mesh or the frame does not exist.
     """
     if kind == "object":
         c.select(target)
     elif kind == "frame":
         c.show_frame(int(target) if target.isdecimal() else -1)
+    elif kind == "mesh":
+        check_known(target, (name for name, _ in _meshes(c)), "no such mesh")
+        add_object(c, target)
     elif target in BY_ID:
         action = BY_ID[target]
         if problem := action.problem(c):
@@ -90,11 +97,19 @@ def _all(c: Controller) -> Iterator[Command]:
     for thing in c.session.state.objects:
         chosen = "it is selected" if thing.name == c.selected else ""
         yield Command("object", thing.name, f"Select {thing.name}", "Objects", problem=chosen)
+    for name, tip in _meshes(c):
+        yield Command("mesh", name, f"Place {name}", "Meshes", tip=tip, problem=read_only(c))
     for frame in c.session.scene.frames:
         shown = "it is in the main view" if frame.id == c.frame else ""
         yield Command(
             "frame", str(frame.id), f"Frame {frame.id}", "Frames", tip=frame.name, problem=shown
         )
+
+
+def _meshes(c: Controller) -> Iterator[tuple[str, str]]:
+    """Name and tip of every mesh of the library."""
+    yield from ((m.id, "Place it in the middle of the main view.") for m in c.session.state.models)
+    yield from ((m.name, str(m.path)) for m in meshes_to_add(c.mesh_folder, c.session))
 
 
 def _searched(row: Command) -> str:

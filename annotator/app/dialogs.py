@@ -289,6 +289,7 @@ class Dialogs:
                     f"Find the symmetry of {model.id}",
                     lambda _: parse_symmetry(words, centre=centre, mesh=mesh),
                     found,
+                    beside=True,
                 )
 
         def found(symmetry: SymmetryModel) -> None:

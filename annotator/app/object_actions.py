@@ -259,7 +259,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         "Fit the selected object: to the sensor depth and the image edges where it is opaque, to "
         "the edges in several frames where the sensor cannot see it.",
         operations.refine,
-        problem=action.cannot_queue,
+        problem=action.cannot_compute,
     ),
     action.Action(
         "refine_all",
@@ -318,7 +318,7 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
         ("Return",),
         "Compute the pose from the clicked points (PnP) and show each point's residual.",
         operations.solve_points,
-        problem=lambda c: action.none_selected(c) or action.busy(c) or _no_points(c),
+        problem=lambda c: action.none_selected(c) or action.blocked(c) or _no_points(c),
     ),
     action.Action(
         "residuals",

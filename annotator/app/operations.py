@@ -66,7 +66,7 @@ def snap(controller: Controller, mode: Literal["drop", "rest"]) -> None:
     name = controller.selected
     if name is not None:
         request = SnapToTable(object=name, frame=controller.active_frame, mode=mode)
-        perform(controller, f"Put {name} onto the table", request, [name])
+        perform(controller, f"Put {name} onto the table", request, [name], beside=True)
 
 
 def solve_points(controller: Controller) -> None:
@@ -76,13 +76,22 @@ def solve_points(controller: Controller) -> None:
     name = controller.selected
     if name is not None:
         request = SolvePnP(object=name, frame=controller.active_frame)
-        perform(controller, f"Pose of {name} from points", request, [name])
+        perform(controller, f"Pose of {name} from points", request, [name], beside=True)
 
 
 def perform(
-    controller: Controller, title: str, request: Request, names: Sequence[str]
+    controller: Controller,
+    title: str,
+    request: Request,
+    names: Sequence[str],
+    *,
+    beside: bool = False,
 ) -> Task | None:
-    """Resolve a request in the background; drop its edit if its objects were edited meanwhile."""
+    """Resolve a request in the background; drop its edit if its objects were edited meanwhile.
+
+    Args:
+        beside: a short one, which does not wait for another object to be refined.
+    """
     session = controller.session
     snapshot = session.snapshot()
     before = {n: session.object(n).placements for n in names}
@@ -110,7 +119,7 @@ def perform(
         if outcome.report:
             controller.tell("\n".join(outcome.report))
 
-    return controller.start(title, work, finish)
+    return controller.start(title, work, finish, beside=beside)
 
 
 def measure_residuals(controller: Controller, *, delay: float = 0.0) -> None:

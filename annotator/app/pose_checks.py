@@ -234,6 +234,13 @@ def toggle_done(c: Controller) -> None:
 
 
 def _judge_then_mark(c: Controller, name: str) -> None:
+    c.start_in_turn(f"Check {name}", lambda: _begin_to_judge(c, name))
+
+
+def _begin_to_judge(c: Controller, name: str) -> None:
+    # It may have been removed while another was refined.
+    if not any(o.name == name and o.placements for o in c.session.state.objects):
+        return
     snapshot, frame = c.session.snapshot(), c.active_frame
     objects, stored = [snapshot.object(name)], c.session.scene.labels
 

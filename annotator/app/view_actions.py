@@ -186,6 +186,14 @@ VIEW_ACTIONS: tuple[Action, ...] = (
         group="look",
     ),
     dialog_action(
+        "panels",
+        "View",
+        "Go to the panels",
+        ("F6",),
+        "Give the keys to the fields of the panels, one after the other; Esc gives them back.",
+        group="look",
+    ),
+    dialog_action(
         "light_theme",
         "View",
         "Light theme",
@@ -335,7 +343,7 @@ SCENE_ACTIONS: tuple[Action, ...] = (
         "Help",
         "Find a command...",
         ("Ctrl+Shift+P", "Ctrl+K"),
-        "List all commands, objects and frames by name; type to filter, Return runs.",
+        "List all commands, objects, meshes and frames by name; type to filter, Return runs.",
     ),
     dialog_action(
         "shortcuts",

@@ -28,8 +28,8 @@ class CommandList(QtWidgets.QDialog):
         self.chosen: Command | None = None
         self.setWindowTitle("Find a command")
         self.search = QtWidgets.QLineEdit()
-        self.search.setPlaceholderText("Command, object or frame")
-        self.search.setAccessibleName("Command, object or frame")
+        self.search.setPlaceholderText("Command, object, mesh or frame")
+        self.search.setAccessibleName("Command, object, mesh or frame")
         self.search.textChanged.connect(self._fill)
         self.search.returnPressed.connect(self._run)
         self.search.installEventFilter(self)

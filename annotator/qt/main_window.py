@@ -172,7 +172,13 @@ class Shell(QMainWindow):
         self.workspace = Workspace(self, self.controller)
         self.setCentralWidget(self.workspace)
         dialogs = question_dialog.WindowDialogs(
-            self.workspace, self.controller, {"open": self.browse, "close": self.close_soon}
+            self.workspace,
+            self.controller,
+            {
+                "open": self.browse,
+                "close": self.close_soon,
+                "panels": self.workspace.next_field,
+            },
         )
         self.workspace.files_dropped.connect(dialogs.add_meshes)
         who = f" · {session.annotator}" if session.annotator else ""

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QMainWindow, QSplitter, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtCore import QPoint, Qt, QTimer, Signal
+from PySide6.QtGui import QKeyEvent, QResizeEvent
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QLineEdit,
+    QMainWindow,
+    QSplitter,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
 
 from annotator.app.background_updates import BackgroundUpdates
 from annotator.app.controller import Controller
@@ -175,6 +184,40 @@ class Workspace(QWidget):
     def focus_views(self) -> None:
         """Move the keyboard focus to the active view."""
         self.views.tiles[self.controller.active_view].view.setFocus()
+
+    def next_field(self) -> None:
+        """Give the keys to the next field of the panels that is shown; after the last, to the view.
+
+        Without any, the numbers of the pose are shown.
+        """
+        fields = self._fields()
+        if not fields:
+            self.tabs.setCurrentWidget(self.pose)
+            fields = self._fields()
+        focus = QApplication.focusWidget()
+        place = next((k for k, field in enumerate(fields) if field is focus), -1)
+        if place + 1 < len(fields):
+            fields[place + 1].setFocus(Qt.FocusReason.TabFocusReason)
+        else:
+            self.focus_views()
+
+    def _fields(self) -> list[QWidget]:
+        found = [
+            field
+            for kind in (QAbstractSpinBox, QLineEdit)
+            for field in self.side.findChildren(kind)
+            if field.isVisible() and field.isEnabled()
+            and not isinstance(field.parent(), QAbstractSpinBox)
+        ]  # fmt: skip
+        corner = QPoint()
+        return sorted(found, key=lambda f: f.mapTo(self.side, corner).toTuple()[::-1])
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Esc leads from a field back to the views."""
+        if event.key() == Qt.Key.Key_Escape and QApplication.focusWidget() in self._fields():
+            self.focus_views()
+        else:
+            super().keyPressEvent(event)
 
     def close_panel(self) -> None:
         """Unsubscribe from the controller; the widgets are deleted afterwards."""

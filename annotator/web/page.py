@@ -30,10 +30,16 @@ STATIC = Path(__file__).parent / "static"
 
 # Actions that each browser does for itself, in `static/look.js`. The keys of the text size stay the
 # browser's own: they zoom the whole page.
-LOCAL = ("light_theme", "larger_text", "smaller_text", "commands")
+LOCAL = ("light_theme", "larger_text", "smaller_text", "commands", "panels")
 
 # Lines in the head of trame's page that are replaced.
 _TITLE = "<title>trame is built by Kitware</title>"
+
+# It would keep people from enlarging the page.
+_FIXED_SIZE = ",maximum-scale=1,minimum-scale=1"
+
+# Vuetify puts menus and dialogs here; it would make one that belongs to no part of the page.
+_OVERLAYS = '<body><div class="v-overlay-container" role="region" aria-label="In front"></div>'
 
 _ICON = '<link rel="icon" href="logo.png" />'
 
@@ -57,6 +63,7 @@ def index_html(*, title: str, secret: str) -> str:
     page = (Path(www) / "index.html").read_text(encoding="utf-8")
     page = page.replace("<head>", head, 1)
     page = page.replace(_TITLE, f"<title>{_escaped(title)}</title>")
+    page = page.replace(_FIXED_SIZE, "", 1).replace("<body>", _OVERLAYS, 1)
     page = page.replace(_ICON, '<link rel="icon" href="annotator/icon.svg" />')
     # The policy of `guard` forbids inline scripts; this one shows trame's logo.
     return re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
@@ -66,7 +73,8 @@ def _look() -> dict[str, Any]:
     """Return what `static/look.js` needs to know."""
     p = palette
     sizes = {"least": p.SMALLEST_TEXT, "usual": p.USUAL_TEXT, "most": p.LARGEST_TEXT}
-    return {"text": {**sizes, "step": p.TEXT_STEP}, "keys": action_table.BY_ID["commands"].keys}
+    keys = {key: id for id in ("commands", "panels") for key in action_table.BY_ID[id].keys}
+    return {"text": {**sizes, "step": p.TEXT_STEP}, "keys": keys}
 
 
 def build_page(server: Any, *, views: int) -> None:

@@ -10,13 +10,12 @@ from typing import Literal
 
 from std_toolkit.errors import listed
 from std_toolkit.html.table import Cell, Column, Row, Table
-from std_toolkit.io.regular import file_sizes
 from std_toolkit.scene.check_flags import (
     read_check_flags,
     report_is_current,
     scene_fingerprint,
 )
-from std_toolkit.scene.label_verdicts import UNCHECKED, LabelVerdict, label_verdicts
+from std_toolkit.scene.label_verdicts import UNCHECKED, LabelVerdict, image_sizes, label_verdicts
 from std_toolkit.scene.scene import Scene
 
 # "restore" files, "fix" causes of failed gates, "label" and "look" at labels are for people, the
@@ -145,10 +144,11 @@ def summarise(scene: Scene) -> SceneSummary:
         ToolkitError: a document breaks its schema.
     """
     poses, labels = scene.poses, scene.labels
+    sizes = image_sizes(scene)
     colors = [f.color for f in scene.frames]
-    missing = _missing(scene, colors)
+    missing = [name for name in colors if sizes[name] < 0]
     with_color = len(colors) - len(missing)
-    missing += _missing(scene, [f.depth for f in scene.frames if f.depth])
+    missing += [f.depth for f in scene.frames if f.depth and sizes[f.depth] < 0]
     missing += [m.mesh for m in scene.objects.models if not (scene.root / m.mesh).is_file()]
     names = {o.id: o.name for o in scene.objects.objects}
     reference = scene.root / "reference"
@@ -180,7 +180,7 @@ def summarise(scene: Scene) -> SceneSummary:
         stale_report=report and not report_is_current(scene, fingerprint),
         check_passed=None if flags is None else flags.passed,
         check_gates=[] if flags is None else [str(gate) for gate in flags.gates],
-        verdicts=label_verdicts(scene),
+        verdicts=label_verdicts(scene, sizes),
         reference=sorted(p.name for p in reference.iterdir()) if reference.is_dir() else [],
     )
     step, command = _next(found)
@@ -315,10 +315,6 @@ def _scale_line(scene: Scene) -> str | None:
     elif poses.scale.chosen == "depth":
         text += " alone (good to 1-2 %)"
     return text
-
-
-def _missing(scene: Scene, names: Sequence[str]) -> list[str]:
-    return [n for n, size in zip(names, file_sizes(scene.root, names), strict=True) if size < 0]
 
 
 def _ground_truth_counts(scene: Scene) -> tuple[int, int]:

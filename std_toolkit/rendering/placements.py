@@ -3,6 +3,7 @@
 The inputs are object and camera poses, camera intrinsics, meshes and the depth scale.
 """
 
+import os
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -105,6 +106,9 @@ class _Truth(msgspec.Struct):
     objects: list[_Row]
 
 
+# That a record of a frame is read of in one go; one that is longer is read as a document.
+_MOST_BYTES = 2**15
+
 _decoder = msgspec.json.Decoder(_Truth)
 
 
@@ -145,9 +149,12 @@ def current_truths(scene: Scene, frames: Sequence[int]) -> int:
 
 def _read(folder: str, frame_id: int) -> _Truth | None:
     try:
-        with open(info_name(folder, frame_id), "rb") as file:  # noqa: PTH123 - of thousands
-            return _decoder.decode(file.read())
-    except (OSError, ValueError, RecursionError):  # also errors of msgspec
+        file = os.open(info_name(folder, frame_id), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            return _decoder.decode(os.read(file, _MOST_BYTES))
+        finally:
+            os.close(file)
+    except (OSError, ValueError, RecursionError):  # also errors of msgspec, of one that is longer
         return None
 
 

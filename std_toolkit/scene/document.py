@@ -30,6 +30,8 @@ Vector3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 
 _SAFE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,127}")
 
+_SAFE_PATH = re.compile(rf"(?:{_SAFE.pattern}/)*{_SAFE.pattern}")
+
 _LONGEST_PATH = 512
 
 # An object nearer than 1 cm or further than 20 m has a wrong unit.
@@ -170,7 +172,7 @@ def check_relative(text: str, *, path: Path | str | None = None, field: str = "p
     """
     # Not split with pathlib, which accepts "a//b" and "./a": two spellings of one file would be
     # undetected duplicates.
-    if len(text) > _LONGEST_PATH or not all(_SAFE.fullmatch(part) for part in text.split("/")):
+    if len(text) > _LONGEST_PATH or not _SAFE_PATH.fullmatch(text):
         raise ToolkitError(
             "not a relative path inside the scene folder",
             path=path,

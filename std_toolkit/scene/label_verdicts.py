@@ -63,9 +63,26 @@ class LabelVerdict:
         return text if self.grade == "fits" else f"{text}: {self.reason}"
 
 
-def label_verdicts(scene: Scene) -> list[LabelVerdict]:
-    """The verdict on every labelled object, in the order of objects.json; reads no image."""
-    subjects, limits = _subjects(scene), _limits_of_last_check(scene)
+def image_sizes(scene: Scene) -> dict[str, int]:
+    """Size in bytes of the images of all frames by their path; -1 where there is none."""
+    names = _images(scene)
+    return dict(zip(names, file_sizes(scene.root, names), strict=True))
+
+
+def _images(scene: Scene) -> list[str]:
+    return [name for f in scene.frames for name in (f.color, f.depth) if name is not None]
+
+
+def label_verdicts(scene: Scene, sizes: Mapping[str, int] | None = None) -> list[LabelVerdict]:
+    """The verdict on every labelled object, in the order of objects.json; reads no image.
+
+    Args:
+        scene: the scene.
+        sizes: its `image_sizes`, if they are known already.
+    """
+    if not scene.labels.labels:
+        return []
+    subjects, limits = _subjects(scene, sizes), _limits_of_last_check(scene)
     found = []
     for item in scene.objects.objects:
         label = scene.labels.of(item.id)
@@ -113,10 +130,11 @@ def judgement_limits(options: Mapping[str, float] | None = None) -> dict[str, fl
     return {**(options or {}), **changed(*_GROUPS)}
 
 
-def _subjects(scene: Scene) -> dict[int, str]:
-    files = [name for f in scene.frames for name in (f.color, f.depth) if name is not None]
-    sizes = file_sizes(scene.root, files)
-    frames = digest_of(scene.info, scene.frame_table, scene.poses, sizes)
+def _subjects(scene: Scene, sizes: Mapping[str, int] | None = None) -> dict[int, str]:
+    sizes = image_sizes(scene) if sizes is None else sizes
+    frames = digest_of(
+        scene.info, scene.frame_table, scene.poses, [sizes[n] for n in _images(scene)]
+    )
     models = {m.id: m for m in scene.objects.models}
     meshes = digest_files(scene.root, [scene.mesh_path(m) for m in models.values()])
     return {

@@ -325,7 +325,8 @@ class Scene:
 
     def registered_frames(self) -> list[Frame]:
         """Return the frames that have a camera pose."""
-        return [f for f in self.frames if self.T_world_cam(f.id) is not None]
+        known = {i for i, pose in self._pose_by_frame.items() if pose.T_world_cam is not None}
+        return [f for f in self.frames if f.id in known]
 
     def T_world_obj(self, object_id: int) -> SE3 | None:
         """Return the propagated pose of an object; None without label or propagation."""

@@ -1,7 +1,7 @@
 // What each browser has of its own: theme, text size, and the list of commands.
 
 const LOOK = "std-annotate-look";
-// The range of text sizes, and the keys of the list.
+// The range of text sizes, and the actions by their keys.
 const { text: TEXT, keys: KEYS } = JSON.parse(document.querySelector("meta[name=look]").content);
 
 function remembered() {
@@ -44,8 +44,43 @@ const ACTIONS = {
   light_theme: () => change({ light: !look.light }),
   larger_text: () => resize(TEXT.step),
   smaller_text: () => resize(-TEXT.step),
+  panels: () => nextPart(),
   commands: () => document.getElementById("root").dispatchEvent(new CustomEvent("commands")),
 };
+
+// Parts of the page whose controls are gone through by keys, and the control that was left last.
+const PARTS = [".panels", ".bottom", ".v-app-bar"];
+const CONTROLS = "button:enabled, input:enabled, select:enabled, .v-list[tabindex='0']";
+let walking = false;
+let left = null;
+
+/** Whether the keys were given to the controls: then one that was pressed keeps the focus. */
+export function walks() {
+  return walking;
+}
+
+function nextPart() {
+  const at = PARTS.findIndex((part) => document.activeElement.closest(part));
+  const firsts = PARTS.slice(at + 1).map((part) => [...document.querySelectorAll(part)]
+    .flatMap((found) => [...found.querySelectorAll(CONTROLS)]).find((control) => control.checkVisibility()));
+  if (at < 0 && left?.checkVisibility() && !left.disabled) firsts.unshift(left);
+  const next = firsts.find(Boolean);
+  walking = Boolean(next);
+  if (next) next.focus({ focusVisible: true });
+  else document.activeElement.blur();
+}
+
+// A control that was reached by keys has the plain ones, and Esc leads back to the views.
+function controlKey(event, name) {
+  const control = event.target.closest?.(PARTS.join());
+  if (!walking || !control || name.startsWith("Ctrl+") || /^F\d/.test(name)) return false;
+  if (name === "Esc") {
+    left = event.target;
+    left.blur();
+    walking = false;
+  }
+  return true;
+}
 
 // In the list of commands: the field keeps the focus, the keys move the mark.
 const MOVES = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10 };
@@ -71,12 +106,17 @@ export function lookKey(event, name) {
     listKey(event);
     return true;
   }
-  if (!KEYS.includes(name) || document.querySelector(".v-overlay--active.v-dialog")) return false;
+  if (document.querySelector(".v-overlay--active:is(.v-dialog, .v-menu)")) return false;
+  if (!(name in KEYS)) return controlKey(event, name);
   event.preventDefault();
-  ACTIONS.commands();
+  ACTIONS[KEYS[name]]();
   return true;
 }
 
+document.addEventListener("pointerdown", () => { walking = false; }, true);
+document.addEventListener("focusin", (event) => {
+  if (walking && event.target.closest(PARTS.join())) left = event.target;
+});
 document.addEventListener("click", (event) => {
   ACTIONS[event.target.closest?.("[data-local]")?.dataset.local]?.();
 }, true);

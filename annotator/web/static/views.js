@@ -1,7 +1,7 @@
 // The views of the page: they show the pictures that the server sends, and tell it what the hand
 // does. One web socket carries all of it, in order and beside everything else of the page.
 
-import { lookKey } from "./look.js";
+import { lookKey, walks } from "./look.js";
 
 // So many moves of the pointer may be on their way: on a slow line the pointer is followed in
 // larger steps, but not late.
@@ -340,5 +340,5 @@ document.addEventListener("dragstart", dragBegins);
 document.addEventListener("click", copied);
 // A button that was clicked would take the next Space and Return.
 document.addEventListener("click", (event) => {
-  if (!event.target.closest?.("input, textarea, .v-dialog")) document.activeElement?.blur();
+  if (!walks() && !event.target.closest?.("input, textarea, .v-dialog")) document.activeElement?.blur();
 });

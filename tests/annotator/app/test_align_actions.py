@@ -14,12 +14,14 @@ from scene_on_disk import write_scene
 
 from annotator.app import mesh_import, operations
 from annotator.app.action_table import BY_ID
+from annotator.app.placing import add_object
 from annotator.session import AddObject, Move, RemoveObject, SetPoses, Snapshot
 from annotator.session.requests import Outcome, Request
 from annotator.session.requests.mesh_requests import Watch
 from std_toolkit.geometry import SE3
 from std_toolkit.scene import Scene
 
+STANDING = SE3.exp([0.0, 0.05, 0.5, 0.0, 0.0, 0.0])
 ELSEWHERE = SE3.exp([0.02, 0.01, 0.55, 0.2, 0.1, 0.3])
 
 
@@ -36,6 +38,18 @@ class Placed(Request, frozen=True, kw_only=True, tag="placed"):
         assert GO_ON.wait(timeout=30)
         edit = SetPoses.one("box_1", 0, ELSEWHERE, method="refine", label=self.title)
         return Outcome(edit, ["box_1: found"], ["box_1: look at it"], {"box_1": "along x"})
+
+
+class Standing(Request, frozen=True, kw_only=True, tag="standing"):
+    """Puts the second box somewhere at once."""
+
+    @property
+    def title(self) -> str:
+        return "Stand"
+
+    def carry_out(self, snapshot: Snapshot, watch: Watch) -> Outcome:
+        del snapshot, watch
+        return Outcome(SetPoses.one("box", 0, STANDING, method="drop", label=self.title), [], [])
 
 
 GO_ON = threading.Event()
@@ -108,6 +122,60 @@ def test_what_is_cancelled_changes_nothing(desk: Desk) -> None:
     finish(desk)
     assert desk.session.state is before
     assert desk.messages == ["Place box_1: cancelled, nothing was changed."]
+
+
+def test_the_next_object_is_placed_moved_and_dropped_while_one_is_refined(desk: Desk) -> None:
+    c, session = desk.controller, desk.session
+    before = session.state
+    start(desk)
+    assert add_object(c, "box")
+    assert c.selected == "box"
+    c.nudge(shift=(5, 0, 0))
+    assert not BY_ID["rest"].problem(c)
+    operations.perform(c, "Put box onto the table", Standing(), ["box"], beside=True)
+    desk.wait(lambda: session.object("box").placements[0].T_cam_obj == STANDING.flat())
+    assert c.task is not None and c.task.title == "Place box_1"
+    assert not any("still running" in text for text in desk.messages)
+    # What is to be measured first waits for its turn.
+    c.start_in_turn("Check box", lambda: c.tell("Now."))
+    by_hand = session.state
+    finish(desk)
+    assert session.object("box_1").placements[0].T_cam_obj == ELSEWHERE.flat()
+    assert session.object("box") == by_hand.objects[-1]
+    assert desk.messages[-1] == "Now."
+    # Each is an edit of its own, in the order in which they came.
+    session.undo()
+    assert session.state is by_hand
+    session.undo()
+    session.undo()
+    session.undo()
+    assert session.state is before
+
+
+def test_an_object_is_deleted_while_another_is_refined(desk: Desk) -> None:
+    c = desk.controller
+    assert add_object(c, "box")
+    start(desk)
+    assert c.apply(RemoveObject(object="box"))
+    finish(desk)
+    assert [o.name for o in desk.session.state.objects] == ["box_1"]
+    assert desk.session.object("box_1").placements[0].T_cam_obj == ELSEWHERE.flat()
+
+
+def test_of_two_refinements_each_can_be_cancelled(desk: Desk) -> None:
+    c = desk.controller
+    assert add_object(c, "box")
+    before = desk.session.state
+    start(desk)
+    c.start_in_turn("Next", lambda: operations.perform(c, "Next", Placed(), ["box_1"]))
+    c.cancel()
+    GO_ON.set()
+    desk.wait(lambda: c.task is None or c.task.title == "Next")
+    c.cancel()
+    desk.wait_until_idle()
+    assert desk.session.state is before
+    told = [text for text in desk.messages if "cancelled" in text]
+    assert [text.split(":")[0] for text in told] == ["Place box_1", "Next"]
 
 
 def test_one_computation_at_a_time(desk: Desk) -> None:

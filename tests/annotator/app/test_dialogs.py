@@ -17,7 +17,7 @@ from annotator.app.label_questions import propagate_options
 from annotator.app.questions import Field, Question, symmetry_words
 from std_toolkit.errors import ToolkitError
 
-OWN = {"open", "close", "light_theme", "larger_text", "smaller_text", "commands"}
+OWN = {"open", "close", "light_theme", "larger_text", "smaller_text", "commands", "panels"}
 
 
 class Asker:

@@ -70,9 +70,10 @@ class TestWhatIsAskedOf:
 
 @pytest.mark.slow
 class TestADamagedImage:
-    def test_its_frame_is_left_out_and_named(self, tmp_path: Path) -> None:
-        root = write_textured_scene(tmp_path / "scene", suffix=".jpg")
-        image = root / "color/000003.jpg"
+    @pytest.mark.parametrize("damaged", ["color/000003.jpg", "color/000003.png"])
+    def test_its_frame_is_left_out_and_named(self, tmp_path: Path, damaged: str) -> None:
+        root = write_textured_scene(tmp_path / "scene", suffix=Path(damaged).suffix)
+        image = root / damaged
         image.write_bytes(image.read_bytes()[:3000])
         with Session.open(root) as session:
             before = session.T_world_obj("box_1")
@@ -80,7 +81,7 @@ class TestADamagedImage:
             outcome = session.perform(Refine(objects=["box_1"], frame=0))
             after = session.T_world_obj("box_1")
         (line,) = [w for w in outcome.warnings if "left out" in w]
-        assert line.startswith("Frame 3 = color/000003.jpg is left out: ")
+        assert line.startswith(f"Frame 3 = {damaged} is left out: ")
         assert before is not None and after is not None
         assert np.linalg.norm(after.t - before.t) < 0.002
 

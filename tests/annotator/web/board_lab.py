@@ -20,13 +20,15 @@ PEOPLE = ("Ann", "Ben", 'Zoë "<b>')
 Labelled = Mapping[str, tuple[str, Grade | None]]
 
 
-def make_lab(template: Path, root: Path, scenes: Labelled) -> tuple[Project, dict[str, str]]:
+def make_lab(
+    template: Path, root: Path, scenes: Labelled, *, twice_every: int = 0
+) -> tuple[Project, dict[str, str]]:
     """A project of copies of a scene, by name who labelled it and the verdict; a token each."""
     for name, (by, grade) in scenes.items():
         copied(template, root / name, by=by, grade=grade)
     folders = [root / name for name in scenes]
     project, problems = create_project(
-        root / "lab", scenes=folders, people=PEOPLE, rules=Rules(twice_every=0)
+        root / "lab", scenes=folders, people=PEOPLE, rules=Rules(twice_every=twice_every)
     )
     assert problems == []
     return project, {name: make_token(project, name) for name in PEOPLE}
@@ -101,6 +103,10 @@ class Hand:
 
     async def key(self, name: str) -> None:
         await self.send(type="key", name=name)
+
+    async def place(self, name: str) -> None:
+        """Drop an object of the list onto the middle of the main view."""
+        await self.send(type="drop", view=0, x=0.5, y=0.5, what="object", name=name)
 
     async def begin_drag(self) -> None:
         """Press on the middle of the main view and move, without letting go."""

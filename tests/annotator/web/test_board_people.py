@@ -1,8 +1,9 @@
-"""Three people at one server of a project: sessions of their own, reviews, and a killed one."""
+"""Three people at one server: sessions of their own, second labels, reviews, and a killed one."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 from collections.abc import Callable
@@ -13,18 +14,31 @@ from board_lab import PEOPLE, Hand, Visitor, journal, make_lab, sessions_of, unt
 from serving import Served
 
 from annotator.session import Session
-from std_toolkit.project.status import project_board
+from std_toolkit.cli.main import main
+from std_toolkit.project.shared import make_second
+from std_toolkit.project.status import needs_second, project_board
+from std_toolkit.scene import Scene
 from std_toolkit.scene.review import read_reviews
 from tests.std_toolkit.project.lab import template
 
 
 @pytest.mark.long
 def test_three_people_label_and_review_and_a_killed_session_loses_nothing(
-    serve: Callable[..., Served], tmp_path: Path
+    serve: Callable[..., Served], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ann, ben, zoe = PEOPLE
-    scenes = {f"s{i}": (PEOPLE[i % 3], "doubtful" if i == 4 else "fits") for i in range(6)}
-    project, tokens = make_lab(template(tmp_path / "template"), tmp_path, scenes)  # type: ignore[arg-type]
+    scenes = {f"s{i}": (PEOPLE[i % 3], "doubtful" if i == 4 else "fits") for i in range(12)}
+    project, tokens = make_lab(
+        template(tmp_path / "template"),
+        tmp_path,
+        scenes,
+        twice_every=4,  # type: ignore[arg-type]
+    )
+    # As `project run` does it.
+    for item, row in zip(project.record.scenes, project_board(project), strict=True):
+        if needs_second(row):
+            make_second(project, item)
+    again = {"s3": ben, "s7": zoe, "s11": ann}
     server = serve(project.root)
 
     async def work() -> None:
@@ -35,7 +49,8 @@ def test_three_people_label_and_review_and_a_killed_session_loses_nothing(
         ):
             visitors = {ann: a, ben: b, zoe: z}
             # The doubtful scene comes first, and nobody reviews their own.
-            assert (await a.due())[0] == "s4" and {*await b.due()} == {"s0", "s2", "s3", "s5"}
+            assert (await a.due())[0] == "s4"
+            assert not {*await b.due()} & {name for name, (who, _) in scenes.items() if who == ben}
             opened = zip((a, b, z), ("s0", "s1", "s2"), strict=True)
             paths = await asyncio.gather(*(v.open(name) for v, name in opened))
             assert paths == ["/at/edit/s0/", "/at/edit/s1/", "/at/edit/s2/"]
@@ -71,6 +86,20 @@ def test_three_people_label_and_review_and_a_killed_session_loses_nothing(
                 status, page = await visitor.post(f"/scenes/{name}/close")
                 assert status == 200
             await until(lambda: not sessions_of(server.process.pid))
+            # The second labels: nobody sees the first ones, and nobody else may make them.
+            for name, person in again.items():
+                path = await visitors[person].open(name, "again")
+                assert path == f"/at/again/{name}/"
+                hand, copy = await Hand.at(visitors[person], path), project.root / "second" / name
+                assert Scene.open(copy).labels.labels == []
+                await hand.place("box_1")
+                await until(lambda c=copy: journal(c) == ["begun", "edit"])
+                for key in ("Left", "Up"):
+                    await hand.key(key)
+                await until(lambda c=copy: journal(c).count("edit") == 3)
+                await hand.key("Ctrl+S")
+                await until(lambda c=copy: len(Scene.open(c).labels.labels) == 1)
+                assert (await visitors[person].post(f"/scenes/{name}/close"))[0] == 200
             # Everybody reviews until nothing is due.
             for person, visitor in visitors.items():
                 while due := await visitor.due():
@@ -88,6 +117,18 @@ def test_three_people_label_and_review_and_a_killed_session_loses_nothing(
     assert {row.stage for row in project_board(project)} == {"accepted"}
     by = {name: read_reviews(tmp_path / name).reviews[-1].by for name in scenes}
     assert all(by[name] in PEOPLE and by[name] != who for name, (who, _) in scenes.items())
+    assert all(by[name] != second for name, second in again.items())
+    # The poses of the second copies, and what two people agree on.
+    assert main(["project", "run", str(project.root), "--workers", "1"]) == 0
+    capsys.readouterr()
+    main(["project", "agreement", str(project.root), "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert {(p["scene"], *p["people"]) for p in found["pairs"]} == {
+        ("s3", "A", "B"), ("s7", "B", "C"), ("s11", "C", "A")
+    }  # fmt: skip
+    assert found["all"]["labels"] == 3 and found["problems"] == {}
+    main(["project", "agreement", str(project.root)])
+    assert "all" in capsys.readouterr().out
     with Session.open(tmp_path / "s2", annotator=zoe, recover="yes") as session:
         assert session.unsaved and len(session.steps) == 3
 

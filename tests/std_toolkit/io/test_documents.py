@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.io.documents import (
     decode_document,
     document_bytes,
+    plain_integer,
     read_document,
+    refuse_twice,
     write_document,
 )
 from std_toolkit.io.foreign_files import read_json
@@ -153,6 +156,31 @@ def test_malformed_documents_are_one_error_naming_the_file(
         read_document(path, type_)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 1000
+
+
+# Objects as text, in which a key may appear twice, spelled in two ways.
+_pieces = st.recursive(
+    st.sampled_from(['"a"', '"\\""', '"\\u0022\\u0022"', "1", "-0.5e3", "9" * 31, "null", "[]"]),
+    lambda inner: st.lists(
+        st.tuples(st.sampled_from(['"a"', '"\\u0061"', '"b"', '"\\""', '"\\u0022"']), inner),
+        max_size=4,
+    ).map(lambda pairs: "{" + ", ".join(f"{key}: {value}" for key, value in pairs) + "}"),
+    max_leaves=12,
+)
+
+
+@given(_pieces)
+def test_the_quick_look_for_keys_twice_finds_what_the_slow_one_does(text: str) -> None:
+    def slowly() -> None:
+        json.loads(text, object_pairs_hook=refuse_twice, parse_int=plain_integer)
+
+    try:
+        slowly()
+    except ToolkitError as error:
+        with pytest.raises(ToolkitError, match=re.escape(error.problem)):
+            decode_document(text.encode(), Any)
+    else:
+        decode_document(text.encode(), Any)
 
 
 @pytest.mark.parametrize(

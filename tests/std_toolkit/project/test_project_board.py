@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 from std_toolkit.cli.main import main
 from std_toolkit.errors import ToolkitError
+from std_toolkit.io import regular
 from std_toolkit.io.locks import hold_lock
 from std_toolkit.project.queue import due_for, review_scene
 from std_toolkit.project.record import Project, Rules, create_project, extend_project
 from std_toolkit.project.shared import make_second, read_library, share_meshes
 from std_toolkit.project.status import project_board
+from std_toolkit.rendering import placements
 from std_toolkit.scene import Scene
 from std_toolkit.scene.review import read_reviews
 from tests.std_toolkit.project.lab import copied, judge
@@ -299,3 +303,37 @@ def test_a_killed_review_or_addition_is_done_or_not(
     assert extend_project(lab, people=["Max"])[0].record.people[-1] == "Max"
     left = [p for p in (lab.root, lab.root / ".std") for p in p.glob(".*.tmp*")]
     assert left == []
+
+
+def test_the_first_look_reads_every_file_once(
+    lab: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of hundreds of scenes, each second look at a file counts."""
+    looked: Counter[str] = Counter()
+
+    def counted(name: str, real: Callable[..., Any], path: Callable[..., list[str]]) -> None:
+        def read(*args: Any, **options: Any) -> Any:
+            looked.update(path(*args))
+            return real(*args, **options)
+
+        monkeypatch.setattr(name, read)
+
+    counted(
+        "std_toolkit.scene.label_verdicts.file_sizes",
+        regular.file_sizes,
+        lambda root, names: [f"{root}/{name}" for name in names],
+    )
+    counted("std_toolkit.io.documents.read_regular", regular.read_regular, lambda p, *_: [str(p)])
+    counted("std_toolkit.rendering.placements._read", placements._read, lambda f, i: [f"{f}/{i}"])
+    # A document is taken apart by the slow reader only where the quick one has a doubt.
+    monkeypatch.setattr("std_toolkit.io.documents.json.loads", lambda *_, **__: pytest.fail("slow"))
+    rows = project_board(lab)
+    assert len(rows) == 5
+    read_again = {path for path, times in looked.items() if times > 1}
+    # The record of the check tells of its limits, its labels and its flags.
+    assert {Path(path).name for path in read_again} <= {"check.json"}
+    assert sum(path.endswith(".png") for path in looked) == sum(
+        len([f for f in (frame.color, frame.depth) if f])
+        for item in lab.record.scenes
+        for frame in Scene.open(lab.folder(item)).frames
+    )
