@@ -62,6 +62,7 @@ PROGRAM = Program(
             "labelling:label",
             "LabelArguments",
         ),
+        _command("carry", "carry poses over from a scene of the same table", "labelling:carry"),
         _command(
             "propagate",
             "propagate annotated poses to every registered frame",
