@@ -1,4 +1,4 @@
-"""Commands of `std-curate` from labelling on: label, carry, propagate, render, check, export, run."""
+"""Commands of `std-curate` from labels on: label, carry, propagate, render, check, export, run."""
 
 import sys
 from collections.abc import Callable, Iterator

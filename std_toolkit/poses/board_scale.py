@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.foreign_files import read_json
 from std_toolkit.io.images import read_color
-from std_toolkit.geometry import SE3, Camera
 from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.poses.known_points import KnownView, scale_from_known_points
 from std_toolkit.poses.scale_sources import ScaleContext

@@ -23,14 +23,13 @@ from std_toolkit.settings import Settings, limit
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-_FRAMES = 12
-_MOST_FEATURES = 3000
+_FRAMES = 8
+# Of an image, and of those with a known place; SIFT finds the large ones from farther apart.
+_MOST_FEATURES, _MOST_KNOWN = 2000, 800
 # Smaller images are searched at twice their resolution.
 _SMALL_PX = 800 * 600
 # Matches whose points are this near in both scenes count once.
 _CELL_M = 0.002
-# A depth pixel whose neighbours differ by more is at an edge.
-_SMOOTH = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +44,8 @@ class SharedFeatureSettings(Settings):
     """largest reprojection error of a triangulated point"""
     fewest_points: int = limit(30, source="fewest features that must agree")
     """with fewer triangulated points, sensor depth is used"""
+    smooth: float = limit(0.02, source="noise of a stereo sensor at 1 m: 5 mm")
+    """depth at a pixel counts if that of its neighbours differs by less, relatively"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,7 @@ def known_features(scene: Scene, pictures: Sequence[_Picture]) -> list[KnownFeat
     Raises:
         ToolkitError: too few can be triangulated, and there is no depth.
     """
-    triangulated = [_triangulated(pictures, i) for i in range(len(pictures))]
+    triangulated = _triangulated(pictures)
     fewest = SharedFeatureSettings.current().fewest_points
     if sum(len(f.xyz) for f in triangulated) >= fewest:
         return triangulated
@@ -134,23 +135,36 @@ def known_features(scene: Scene, pictures: Sequence[_Picture]) -> list[KnownFeat
     return measured
 
 
-def _triangulated(pictures: Sequence[_Picture], at: int) -> KnownFeatures:
-    """Features of a picture, each seen in the neighbour in which its ray differs most."""
-    limits, here = SharedFeatureSettings.current(), pictures[at]
-    count = len(here.features.uv)
-    xyz, angles = np.zeros((count, 3)), np.zeros(count)
-    for other in (*pictures[max(at - 2, 0) : at], *pictures[at + 1 : at + 3]):
-        pairs = match_descriptors(here.features.descriptors, other.features.descriptors)
+def _triangulated(pictures: Sequence[_Picture]) -> list[KnownFeatures]:
+    """Features of each picture, placed with the neighbour in which their rays differ most."""
+    limits = SharedFeatureSettings.current()
+    xyz = [np.zeros((len(p.features.uv), 3)) for p in pictures]
+    angles = [np.zeros(len(p.features.uv)) for p in pictures]
+    for i, j in ((i, i + step) for step in (1, 2) for i in range(len(pictures) - step)):
+        pairs = match_descriptors(
+            pictures[i].features.descriptors, pictures[j].features.descriptors
+        )
         if not len(pairs):
             continue
-        points, angle, error = _intersections(
-            (here, here.features.uv[pairs[:, 0]]), (other, other.features.uv[pairs[:, 1]])
-        )
-        mine = pairs[:, 0]
-        better = (error < limits.largest_error_px) & (angle > angles[mine])
-        xyz[mine[better]], angles[mine[better]] = points[better], angle[better]
-    known = angles > np.deg2rad(limits.least_angle_deg)
-    return KnownFeatures(here.features.descriptors[known], xyz[known], here.T_world_cam.t)
+        ends = ((k, pairs[:, side]) for side, k in enumerate((i, j)))
+        seen = [(pictures[k], pictures[k].features.uv[rows]) for k, rows in ends]
+        points, angle, error = _intersections(seen[0], seen[1])
+        for side, k in enumerate((i, j)):
+            mine = pairs[:, side]
+            better = (error < limits.largest_error_px) & (angle > angles[k][mine])
+            xyz[k][mine[better]], angles[k][mine[better]] = points[better], angle[better]
+    least = np.deg2rad(limits.least_angle_deg)
+    return [
+        _largest(picture, np.flatnonzero(angle > least), places)
+        for picture, angle, places in zip(pictures, angles, xyz, strict=True)
+    ]
+
+
+def _largest(picture: _Picture, rows: NDArray[np.int64], xyz: Array) -> KnownFeatures:
+    """Those of the known features that are largest in the image."""
+    features = picture.features
+    rows = rows[np.argsort(-features.keypoints[rows, 2], kind="stable")[:_MOST_KNOWN]]
+    return KnownFeatures(features.descriptors[rows], xyz[rows], picture.T_world_cam.t)
 
 
 def _intersections(
@@ -186,11 +200,10 @@ def _measured(scene: Scene, picture: _Picture) -> KnownFeatures | None:
     depth = scene.read_depth(picture.frame)
     if depth is None:
         return None
-    z = depth_at(depth, picture.features.uv)
-    known = z > 0
-    uv = picture.features.uv[known]
-    points = picture.T_world_cam @ picture.camera.unproject(uv, z[known])
-    return KnownFeatures(picture.features.descriptors[known], points, picture.T_world_cam.t)
+    uv = picture.features.uv
+    z = depth_at(depth, uv)
+    xyz = picture.T_world_cam @ picture.camera.unproject(uv, z)
+    return _largest(picture, np.flatnonzero(z > 0), xyz)
 
 
 def depth_at(depth: NDArray[np.float32], uv: Array) -> Array:
@@ -208,7 +221,8 @@ def depth_at(depth: NDArray[np.float32], uv: Array) -> Array:
     if seen.any():
         middle = np.nanmedian(patch[seen], axis=1)
         spread = np.nanmax(patch[seen], axis=1) - np.nanmin(patch[seen], axis=1)
-        out[seen] = np.where(spread < _SMOOTH * middle, middle, 0.0)
+        smooth = spread < SharedFeatureSettings.current().smooth * middle
+        out[seen] = np.where(smooth, middle, 0.0)
     return np.where(inside, out, 0.0)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, ransac_similarity, skew, umeyama
+from std_toolkit.geometry import SE3, ransac_similarity, umeyama
+from std_toolkit.geometry.se3 import skew
 from std_toolkit.settings import Settings, limit
 
 Array = NDArray[np.float64]
