@@ -54,6 +54,7 @@ class Dialogs:
             "add_mesh": self._add_mesh,
             "place_mesh": self._place_mesh,
             "propagate": self._propagate,
+            "carry": self._carry,
             "rename": self._rename,
             "note": self._note,
             "symmetry": self._symmetry,
@@ -213,6 +214,21 @@ class Dialogs:
             operations.propagate(self._c, label_questions.propagate_options(answers))
 
         self.put(label_questions.propagate_question(self._c.session, self._doubts(), react))
+
+    def _carry(self) -> None:
+        from std_toolkit.project.nearby import nearby_scenes
+
+        scene = self._c.session.snapshot().scene
+
+        def react(_: str, answers: questions.Answers) -> None:
+            operations.carry_over(self._c, label_questions.carry_request(answers))
+
+        self._c.start(
+            "Find scenes",
+            lambda _: nearby_scenes(scene.root, scene.objects),
+            lambda found: self.put(label_questions.carry_question(found, react)),
+            beside=True,
+        )
 
     def _conflict(self) -> None:
         def react(pressed: str, _: questions.Answers) -> None:

@@ -27,7 +27,7 @@ _FRAMES = 8
 # Of an image, and of those with a known place; SIFT finds the large ones from farther apart.
 _MOST_FEATURES, _MOST_KNOWN = 2000, 800
 # Smaller images are searched at twice their resolution.
-_SMALL_PX = 800 * 600
+_SMALL_PX = 500 * 400
 # Matches whose points are this near in both scenes count once.
 _CELL_M = 0.002
 
@@ -86,7 +86,7 @@ def shared_features(
     found = []
     for part, scene in enumerate((a, b)):
         pictures = []
-        for frame in (frames := _spread(scene.registered_frames())):
+        for frame in (frames := spread_frames(scene.registered_frames(), _FRAMES)):
             check()
             pictures.append(_picture(scene, frame))
             progress(0.4 * (part + len(pictures) / len(frames)))
@@ -235,7 +235,7 @@ def _picture(scene: Scene, frame: Frame) -> _Picture:
     return _Picture(frame, scene.camera(frame), T_world_cam, features)
 
 
-def _spread(frames: Sequence[Frame]) -> list[Frame]:
-    """Up to `_FRAMES` frames, evenly over the recording."""
-    count = min(len(frames), _FRAMES)
+def spread_frames(frames: Sequence[Frame], most: int) -> list[Frame]:
+    """Up to so many frames, evenly over the recording."""
+    count = min(len(frames), most)
     return [frames[i] for i in np.linspace(0, len(frames) - 1, count).round().astype(int)]

@@ -14,8 +14,14 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
 from std_toolkit.io.foreign_files import csv_rows, read_json
 from std_toolkit.io.regular import read_text
+from std_toolkit.jobs import JobOptions
 from std_toolkit.labels.carry.options import CarryOptions
-from std_toolkit.labels.carry.shared_features import Progress, depth_at, shared_features
+from std_toolkit.labels.carry.shared_features import (
+    Progress,
+    depth_at,
+    shared_features,
+    spread_frames,
+)
 from std_toolkit.labels.carry.world_relation import (
     RelationSettings,
     SharedPoints,
@@ -31,6 +37,8 @@ from std_toolkit.scene import Scene
 Array = NDArray[np.float64]
 
 _BOARD = "board.json"
+# Frames in which the board is looked for.
+_FRAMES = 16
 
 
 def find_relation(
@@ -98,10 +106,10 @@ def _by_board(a: Scene, b: Scene, board: Board) -> WorldRelation:
     for scene in (a, b):
         cameras = {
             f.id: (T.inverse(), scene.camera(f))
-            for f in scene.frames
+            for f in spread_frames(scene.registered_frames(), _FRAMES)
             if (T := scene.T_world_cam(f.id)) is not None
         }
-        found = board_views(scene, cameras, board)
+        found = board_views(scene, cameras, board, JobOptions(engine="serial", progress=False))
         if len(found) < fewest:
             problem = f"the board is detected in {len(found)} registered frames, {fewest} needed"
             raise ToolkitError(problem, path=scene.root)
