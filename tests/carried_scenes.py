@@ -64,7 +64,7 @@ def plain() -> NDArray[np.uint8]:
     return np.full((1000, 1000, 3), 190, np.uint8)
 
 
-def with_board(texture: NDArray[np.uint8], x: int = 560, y: int = 640) -> NDArray[np.uint8]:
+def with_board(texture: NDArray[np.uint8], x: int = 380, y: int = 540) -> NDArray[np.uint8]:
     """The table with a sheet of 4 x 3 AprilTags whose corner is at a pixel of its texture."""
     texture = texture.copy()
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

@@ -9,7 +9,7 @@ import numpy as np
 
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import mesh_bounds
-from std_toolkit.io.documents import digest_file
+from std_toolkit.io.documents import digest_file, digest_of
 from std_toolkit.labels.carry.options import CarryOptions
 from std_toolkit.scene import Label, Object, Scene
 from std_toolkit.scene.label_verdicts import label_verdicts
@@ -99,15 +99,21 @@ def is_kept(
 
 
 def same_model(scene: Scene, source: Scene, model: Model) -> Model | None:
-    """The model of this scene with the same mesh file, or with its name and box; None without."""
-    for mine in scene.objects.models:
-        if scene.mesh_path(mine).is_file() and (
-            scene.mesh_digest(mine.id) == source.mesh_digest(model.id)
-        ):
-            return mine
+    """The model of this scene with the name and box of another, or with its files; None without."""
     namesake = next((m for m in scene.objects.models if m.id == model.id), None)
-    if namesake is None:
-        return None
-    limit_mm = MatchingSettings.current().same_box_mm
-    boxes = [mesh_bounds(one.mesh(model.id)) for one in (scene, source)]
-    return namesake if 1000 * np.abs(boxes[0] - boxes[1]).max() < limit_mm else None
+    if namesake is not None:
+        limit_mm = MatchingSettings.current().same_box_mm
+        boxes = [mesh_bounds(one.mesh(model.id)) for one in (scene, source)]
+        if 1000 * np.abs(boxes[0] - boxes[1]).max() < limit_mm:
+            return namesake
+    wanted = _content(source, model)
+    return next((m for m in scene.objects.models if _content(scene, m) == wanted), None)
+
+
+def _content(scene: Scene, model: Model) -> str:
+    """Digest of the mesh with its materials and textures, which are in its folder."""
+    path = scene.mesh_path(model)
+    files = [path]
+    if path.parent.name == model.id:
+        files = [p for p in path.parent.iterdir() if p.is_file() and not p.name.startswith(".")]
+    return digest_of(sorted(digest_file(p) for p in files if p.is_file()))

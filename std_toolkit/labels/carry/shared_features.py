@@ -27,7 +27,7 @@ _FRAMES = 8
 # Of an image, and of those with a known place; SIFT finds the large ones from farther apart.
 _MOST_FEATURES, _MOST_KNOWN = 2000, 800
 # Smaller images are searched at twice their resolution.
-_SMALL_PX = 500 * 400
+_SMALL_PX = 400 * 300
 # Matches whose points are this near in both scenes count once.
 _CELL_M = 0.002
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
-from std_toolkit.geometry import SE3, ransac_similarity, umeyama
+from std_toolkit.geometry import SE3, Similarity, ransac_similarity, umeyama
 from std_toolkit.geometry.se3 import skew
 from std_toolkit.settings import Settings, limit
 
@@ -23,6 +24,8 @@ WORDS: dict[Found, str] = {
 }
 _PLURALS: dict[Found, str] = {"board": "corners", "features": "features", "points": "points"}
 _SAMPLES = 4000
+# Of up to so many points every triple is tried.
+_FEW = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,9 +144,7 @@ def relate_worlds(points: SharedPoints) -> WorldRelation:
         raise _unrelated(f"{len(points.a)} {_PLURALS[points.by]}, {fewest} are needed")
     threshold = (limits.feature_mm if features else limits.point_mm) / 1000
     try:
-        found, inliers = ransac_similarity(
-            points.a, points.b, threshold_m=threshold, with_scale=False, max_iterations=_SAMPLES
-        )
+        found, inliers = _robust_fit(points.a, points.b, threshold)
     except ToolkitError as error:
         raise _unrelated(f"no three {_PLURALS[points.by]} agree: {error.problem}") from error
     T_b_a = SE3(found.R, found.t)
@@ -162,6 +163,35 @@ def relate_worlds(points: SharedPoints) -> WorldRelation:
     if count >= limits.fewest_features:
         scale = umeyama(points.a[inliers], points.b[inliers]).scale
     return with_scale(relation, scale, name)
+
+
+def _robust_fit(a: Array, b: Array, threshold: float) -> tuple[Similarity, NDArray[np.bool_]]:
+    """The rigid fit that most points agree on: of few points all triples are tried."""
+    if len(a) > _FEW:
+        return ransac_similarity(
+            a, b, threshold_m=threshold, with_scale=False, max_iterations=_SAMPLES
+        )
+    best = np.zeros(len(a), dtype=bool)
+    least = np.inf
+    problem = ToolkitError("they are on lines")
+    for rows in combinations(range(len(a)), 3):
+        try:
+            fit = umeyama(a[list(rows)], b[list(rows)], with_scale=False)
+        except ToolkitError as error:
+            problem = error
+            continue
+        distance = np.linalg.norm(fit @ a - b, axis=1)
+        agree = distance < threshold
+        cost = float(np.minimum(distance, threshold).sum())
+        if agree[list(rows)].all() and cost < least:
+            best, least = agree, cost
+    if not best.any():
+        distances = [np.linalg.norm(p[:, None] - p, axis=-1) for p in (a, b)]
+        off = 1000 * float(np.abs(distances[0] - distances[1]).max())
+        if off > 1000 * threshold:
+            problem = ToolkitError(f"their distances differ by up to {off:.0f} mm")
+        raise problem
+    return umeyama(a[best], b[best], with_scale=False), best
 
 
 def make_relation(
