@@ -10,7 +10,6 @@ from typing import Any, Literal
 from std_toolkit.errors import ToolkitError
 from std_toolkit.importers.options import ImportOptions
 from std_toolkit.jobs.door import Writes
-from std_toolkit.labels.carry.options import CarryOptions
 from std_toolkit.options import (
     CheckBasics,
     CheckOptions,
@@ -182,24 +181,6 @@ class LabelArguments(LabelCommand):
 
     scene: Path = field(metadata={"writes": Writes("scene")})
     """scene folder"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CarryCommand:
-    """Carry the poses of the objects over from a scene of the same table and objects.
-
-    The two scenes are related by a printed board, by matched features, or by three or more points.
-    Objects that SCENE lacks are added with their meshes. The poses are labels without a verdict:
-    run propagate --refine and check.
-    """
-
-    scene: Path = field(metadata={"writes": Writes("scene")})
-    """folder of the scene that receives the poses"""
-    source: Path = field(metadata={"option": "from"})
-    """folder of the labelled scene"""
-    options: CarryOptions = field(default_factory=CarryOptions)
-    annotator: str = ""
-    """name of who carries the poses over"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
 from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
+from std_toolkit.project.nearby import nearby_scenes
 
 if TYPE_CHECKING:
     from std_toolkit.scene.model import SymmetryModel
@@ -216,19 +217,11 @@ class Dialogs:
         self.put(label_questions.propagate_question(self._c.session, self._doubts(), react))
 
     def _carry(self) -> None:
-        from std_toolkit.project.nearby import nearby_scenes
-
-        scene = self._c.session.snapshot().scene
-
         def react(_: str, answers: questions.Answers) -> None:
             operations.carry_over(self._c, label_questions.carry_request(answers))
 
-        self._c.start(
-            "Find scenes",
-            lambda _: nearby_scenes(scene.root, scene.objects),
-            lambda found: self.put(label_questions.carry_question(found, react)),
-            beside=True,
-        )
+        scene = self._c.session.snapshot().scene
+        self.put(label_questions.carry_question(nearby_scenes(scene.root, scene.objects), react))
 
     def _conflict(self) -> None:
         def react(pressed: str, _: questions.Answers) -> None:

@@ -9,7 +9,6 @@ from std_toolkit import options
 from std_toolkit.cli.command import print_json
 from std_toolkit.cli.recording import asked, recover_poses
 from std_toolkit.commands import (
-    CarryCommand,
     CheckCommand,
     ExportCommand,
     LabelArguments,
@@ -19,6 +18,7 @@ from std_toolkit.commands import (
     RunCommand,
 )
 from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.carry.options import CarryCommand
 
 # Failures of these steps end the run, because later steps need their results. A frame that could
 # not be rendered does not end it: the check reports missing frames.

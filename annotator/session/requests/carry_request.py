@@ -91,4 +91,4 @@ class CarryOver(Request, frozen=True, kw_only=True, tag="carry_over"):
         report = [line for line in lines if not line.startswith("note: ")]
         count = "1 pose" if len(changes) == 1 else f"{len(changes)} poses"
         report.append(f"{count} carried over, judged now in this scene. Refine all comes next.")
-        return Outcome(edit, report, [note[:1].upper() + note[1:] for note in plan.notes()])
+        return Outcome(edit, report, plan.notes())

@@ -240,6 +240,7 @@ def plan_carry(
         raise ToolkitError(
             "there is nothing to carry over: " + "; ".join(f"{n}: {why}" for n, why in left_out),
             path=scene.root,
+            hint="poses that are here are replaced with --overwrite",
         )
     relation = find_relation(source, scene, options, progress=progress, check=check)
     objects = []

@@ -94,7 +94,7 @@ def is_kept(
 ) -> bool:
     if obj.name not in placed or options.overwrite:
         return False
-    left_out.append((obj.name, "it has a pose here already (--overwrite replaces it)"))
+    left_out.append((obj.name, "it has a pose here already"))
     return True
 
 

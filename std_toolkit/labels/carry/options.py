@@ -1,12 +1,13 @@
-"""Options of carrying poses over, without expensive imports."""
+"""What `std-curate carry` takes, without expensive imports."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from std_toolkit.errors import ToolkitError, check_options
+from std_toolkit.jobs.door import Writes
 
 Way = Literal["auto", "board", "features", "points"]
 
@@ -38,3 +39,21 @@ class CarryOptions:
             raise ToolkitError(f"--points and --by {self.by} exclude each other")
         if self.board is not None and self.by not in ("auto", "board"):
             raise ToolkitError(f"--board and --by {self.by} exclude each other")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarryCommand:
+    """Carry the poses of the objects over from a scene of the same table and objects.
+
+    The two scenes are related by a printed board, by matched features, or by three or more points.
+    Objects that SCENE lacks are added with their meshes. The poses are labels without a verdict:
+    run propagate --refine and check.
+    """
+
+    scene: Path = field(metadata={"writes": Writes("scene")})
+    """folder of the scene that receives the poses"""
+    source: Path = field(metadata={"option": "from"})
+    """folder of the labelled scene"""
+    options: CarryOptions = field(default_factory=CarryOptions)
+    annotator: str = ""
+    """name of who carries the poses over"""

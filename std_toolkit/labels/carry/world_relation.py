@@ -41,9 +41,13 @@ class RelationSettings(Settings):
     )
     """the same for a point that a person gives"""
     fewest_features: int = limit(
-        30, source="false matches between other tables: at most 8 agree on a transform"
+        30, source="of 400 matches between two other tables, no four agree"
     )
     """features that must agree"""
+    least_share: float = limit(
+        0.15, source="11 % on a pattern that repeats, 43 to 70 % on one table from two paths"
+    )
+    """part of the matched features that must agree"""
     rival_share: float = limit(
         0.5, source="a repeated pattern, or one half of the objects moved as one"
     )
@@ -149,7 +153,8 @@ def relate_worlds(points: SharedPoints) -> WorldRelation:
         raise _unrelated(f"no three {_PLURALS[points.by]} agree: {error.problem}") from error
     T_b_a = SE3(found.R, found.t)
     count = int(inliers.sum())
-    if count < fewest or (not features and 2 * count <= len(inliers)):
+    share = limits.least_share if features else 0.5
+    if count < fewest or count <= share * len(inliers):
         raise _unrelated(f"{count} of {len(inliers)} {_PLURALS[points.by]} agree")
     if features:
         _refuse_rival(points, T_b_a, inliers, threshold)

@@ -213,7 +213,7 @@ def test_what_is_here_is_kept_unless_asked(root: Path) -> None:
         )
     )
     plan = carry(root)
-    assert plan.left_out == (("box_a", "it has a pose here already (--overwrite replaces it)"),)
+    assert plan.left_out == (("box_a", "it has a pose here already"),)
     scene = Scene.open(root / "b")
     assert scene.labels.of(1) == other
     assert scene.annotation.of(1).status == "done"
