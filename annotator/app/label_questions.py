@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from std_toolkit.project.nearby import NearbyScene
 
 
+# Scenes that are listed; others are named by their folder.
+_MOST_SCENES = 8
+
+
 def doubt_question(doubts: Sequence[tuple[str, str]], react: Reaction) -> Question:
     """Ask whether to mark objects as done whose verdict is not good: "done" or "".
 
@@ -46,7 +50,7 @@ def carry_question(scenes: Sequence[NearbyScene], react: Reaction) -> Question:
     """
     known = [
         Choice(str(s.folder), f"{s.folder.name} ({s.common} of {s.labelled} objects in common)")
-        for s in scenes
+        for s in scenes[:_MOST_SCENES]
     ]
     return Question(
         "Carry over poses from which scene?",

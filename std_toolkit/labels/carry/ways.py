@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 _BOARD = "board.json"
 # Frames in which the board is looked for.
-_FRAMES = 16
+_FRAMES = 10
 
 
 def find_relation(
@@ -132,7 +132,7 @@ def _by_board(a: Scene, b: Scene, board: Board) -> WorldRelation:
     )
     distance = np.linalg.norm(T_b_a @ points.a - points.b, axis=1)
     # The corner of a tag that is seen at a grazing angle may be anywhere.
-    inliers = distance < RelationSettings.current().point_mm / 1000
+    inliers = distance < RelationSettings.current().corner_mm / 1000
     if 2 * inliers.sum() <= len(inliers):
         raise ToolkitError(
             "the board has another shape in the two scenes",

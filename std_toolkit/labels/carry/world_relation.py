@@ -37,9 +37,13 @@ class RelationSettings(Settings):
     )
     """a matched feature farther away than this after the fit is an outlier"""
     point_mm: float = limit(
-        12.0, unit="mm", source="clicks of 2 px at 1 m, with the noise of a depth sensor"
+        20.0, unit="mm", source="clicks of 2 px on a table seen at 30 deg from 0.6 m: 6 mm along it"
     )
     """the same for a point that a person gives"""
+    corner_mm: float = limit(
+        5.0, unit="mm", source="a corner of a tag, to 1 px, in cameras that err by 1 mm"
+    )
+    """the same for a corner of the board"""
     fewest_features: int = limit(
         30, source="of 400 matches between two other tables, no four agree"
     )
