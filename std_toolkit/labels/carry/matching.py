@@ -26,10 +26,12 @@ class MatchingSettings(Settings):
 
 
 def refuse_same(scene: Scene, source: Scene) -> None:
+    """Raise an error if two scenes are one folder, or one recording: their labels are merged."""
     if scene.root.resolve() == source.root.resolve():
         raise ToolkitError("a scene cannot be carried over to itself", path=scene.root)
-    first = (scene.color_path(scene.frames[0]), source.color_path(source.frames[0]))
-    if all(p.is_file() for p in first) and digest_file(first[0]) == digest_file(first[1]):
+    first = [one.color_path(one.frames[0]) for one in (scene, source) if one.frames]
+    files = {digest_file(path) for path in first if path.is_file()}
+    if len(first) == 2 and len(files) == 1 and all(path.is_file() for path in first):
         raise ToolkitError(
             "the two scenes are one recording",
             path=source.root,
@@ -40,7 +42,16 @@ def refuse_same(scene: Scene, source: Scene) -> None:
 def wanted_objects(
     source: Scene, options: CarryOptions, left_out: list[tuple[str, str]]
 ) -> list[tuple[Object, Label]]:
-    """The labelled objects of the source; a label that is known to be wrong is left out."""
+    """The labelled objects of the source; a label that is known to be wrong is left out.
+
+    Args:
+        source: the scene that poses are carried over from.
+        options: names of the objects, if chosen.
+        left_out: receives name and reason of each object that is left out.
+
+    Raises:
+        ToolkitError: nothing is labelled, or a named object is not.
+    """
     labelled = [(o, x) for o in source.objects.objects if (x := source.labels.of(o.id)) is not None]
     if not labelled:
         raise ToolkitError("no object is labelled there", path=source.root)
@@ -64,6 +75,9 @@ def matched_objects(
     """Each object, the same one of this scene, if any, and its model here, if any.
 
     Objects of one mesh are interchangeable: those without a namesake are paired in their order.
+
+    Raises:
+        ToolkitError: the scenes have no mesh in common, and no object is named.
     """
     models = {o.model: same_model(scene, source, source.objects.model(o.model)) for o, _ in wanted}
     if wanted and scene.objects.models and not any(models.values()) and options.objects is None:
@@ -92,6 +106,7 @@ def matched_objects(
 def is_kept(
     obj: Object, placed: Collection[str], options: CarryOptions, left_out: list[tuple[str, str]]
 ) -> bool:
+    """Whether an object keeps the pose that it has; it is added to `left_out` then."""
     if obj.name not in placed or options.overwrite:
         return False
     left_out.append((obj.name, "it has a pose here already"))
