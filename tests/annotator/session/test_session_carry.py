@@ -11,6 +11,7 @@ from desk_without_window import Desk
 
 from annotator.app.action_table import BY_ID
 from annotator.app.dialogs import Dialogs
+from annotator.app.object_summary import work_state
 from annotator.app.questions import Question
 from annotator.session import Session
 from annotator.session.requests import CarryOver
@@ -103,7 +104,7 @@ def test_dialog_offers_the_scenes_beside_it_and_tells_the_result(root: Path) -> 
     desk.wait_until_idle()
     assert any("carried over from a by the board" in text for text in desk.messages)
     assert "Refine all comes next" in desk.messages[-1]
-    assert all(o.placements for o in desk.session.state.objects)
+    assert [work_state(o) for o in desk.session.state.objects] == ["placed", "placed"]
     assert BY_ID["refine_all"].enabled(desk.controller)
     assert len(desk.session.steps) == 1
     desk.close()
