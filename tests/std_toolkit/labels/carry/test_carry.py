@@ -300,8 +300,8 @@ def test_meshes_in_common(root: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
-        ("000002,10,10,000003,10,10\n" * 2, "2 points, three or more"),
-        ("000002,10,10,000003,900,10\n" * 3, r"row 2\.to_u: .*outside the 480x360 image"),
+        ("000002,60,300,000003,60,300\n" * 2, "2 points, three or more"),
+        ("000002,60,300,000003,900,10\n" * 3, r"row 2\.to_u: .*outside the 480x360 image"),
         ("000002,x,10,000003,10,10\n" * 3, r"row 2\.from_u: .*not a number"),
         ("000042,10,10,000003,10,10\n" * 3, "no such frame"),
         ("000002,240,4,000003,10,10\n" * 3, "no smooth surface here"),
