@@ -35,6 +35,7 @@ ROWS: dict[str, dict[str, tuple[str, int]]] = {
         "poses": ("a", 1),
         "trajectory": ("a --out t.csv", 0),
         "label": ("a --object box_1 --pose pose.txt --frame 0", 0),
+        "carry": ("b --from a", 1),
         "propagate": ("a", 0),
         "render": ("a --engine serial", 0),
         "check": ("a --engine serial", 1),

@@ -20,6 +20,7 @@ from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry.mesh import MESH_SUFFIXES
 from std_toolkit.geometry.symmetry import symmetry_words
 from std_toolkit.labels.entry.symmetry_argument import parse_symmetry
+from std_toolkit.project.nearby import nearby_scenes
 
 if TYPE_CHECKING:
     from std_toolkit.scene.model import SymmetryModel
@@ -54,6 +55,7 @@ class Dialogs:
             "add_mesh": self._add_mesh,
             "place_mesh": self._place_mesh,
             "propagate": self._propagate,
+            "carry": self._carry,
             "rename": self._rename,
             "note": self._note,
             "symmetry": self._symmetry,
@@ -213,6 +215,13 @@ class Dialogs:
             operations.propagate(self._c, label_questions.propagate_options(answers))
 
         self.put(label_questions.propagate_question(self._c.session, self._doubts(), react))
+
+    def _carry(self) -> None:
+        def react(_: str, answers: questions.Answers) -> None:
+            operations.carry_over(self._c, label_questions.carry_request(answers))
+
+        scene = self._c.session.snapshot().scene
+        self.put(label_questions.carry_question(nearby_scenes(scene.root, scene.objects), react))
 
     def _conflict(self) -> None:
         def react(pressed: str, _: questions.Answers) -> None:

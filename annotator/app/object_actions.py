@@ -274,6 +274,18 @@ ALIGN_ACTIONS: tuple[action.Action, ...] = (
             or ("" if c.session.state.objects else "there are no objects yet")
         ),
     ),
+    action.dialog_action(
+        "carry",
+        "Align",
+        "Carry over from a scene...",
+        ("Ctrl+L",),
+        "Take the poses of the objects from a scene of the same table; they are judged here again.",
+        problem=lambda c: (
+            action.read_only(c)
+            or action.blocked(c)
+            or ("" if c.session.posed else "the scene has no metric camera poses")
+        ),
+    ),
     action.Action(
         "drop",
         "Align",

@@ -79,8 +79,12 @@ def work_state(obj: ObjectState) -> State:
 
 
 def is_refined(placement: Placement) -> bool:
-    """Whether the pose was fitted to images or depth; snapping to the table does not count."""
-    return bool(placement.refinement) and placement.method != "snap"
+    """Whether the pose was fitted to the images or depth of this scene.
+
+    Snapping to the table does not count, nor does a pose carried over from another scene.
+    """
+    elsewhere = placement.method == "snap" or placement.method.startswith("carry:")
+    return bool(placement.refinement) and not elsewhere
 
 
 def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:

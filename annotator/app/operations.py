@@ -1,4 +1,4 @@
-"""Computations that the user starts: refine, snap, solve, save, propagate.
+"""Computations that the user starts: refine, snap, solve, carry over, save, propagate.
 
 Each takes a snapshot, computes in the background and applies one edit. If an object of the result
 was edited meanwhile, the result is dropped with a message and nothing is overwritten.
@@ -18,7 +18,7 @@ from annotator.session.saving import PropagationResult, propagate_saved_labels
 
 if TYPE_CHECKING:
     from annotator.session.merge import Side
-    from annotator.session.requests import Outcome, Request
+    from annotator.session.requests import CarryOver, Outcome, Request
     from annotator.session.residuals import FrameResidual
     from std_toolkit.options import PropagateOptions
 
@@ -77,6 +77,17 @@ def solve_points(controller: Controller) -> None:
     if name is not None:
         request = SolvePnP(object=name, frame=controller.active_frame)
         perform(controller, f"Pose of {name} from points", request, [name], beside=True)
+
+
+def carry_over(controller: Controller, request: CarryOver) -> None:
+    """Carry the poses of objects over from another scene."""
+
+    def begin() -> None:
+        objects = controller.session.state.objects
+        names = [o.name for o in objects if request.overwrite or not o.placements]
+        perform(controller, request.title, request, names)
+
+    controller.start_in_turn(request.title, begin)
 
 
 def perform(

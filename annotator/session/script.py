@@ -10,7 +10,7 @@ import msgspec
 
 from annotator.session import edits
 from annotator.session.merge import Side
-from annotator.session.requests import AnyRequest, ImportMesh, Request
+from annotator.session.requests import AnyRequest, CarryOver, ImportMesh, Request
 from annotator.session.script_frames import frame_or_name, frames_of, with_frame_ids
 from annotator.session.session import Session
 from std_toolkit.errors import ToolkitError
@@ -221,6 +221,14 @@ def _carry_out(session: Session, step: Step, path: Path) -> Iterator[str]:
                 # Relative to the script, independent of the working directory.
                 mesh = path.parent / Path(step.mesh).expanduser()
                 step = msgspec.structs.replace(step, mesh=str(mesh))
+            if isinstance(step, CarryOver):
+                given = {k: getattr(step, k) for k in ("source", "board", "points")}
+                there = {
+                    k: str(path.parent / Path(v).expanduser())
+                    for k, v in given.items()
+                    if v is not None
+                }
+                step = msgspec.structs.replace(step, **there)
             outcome = session.perform(step)
             yield step.title
             yield from (f"  {line}" for line in outcome.report)

@@ -1,4 +1,4 @@
-"""Commands of `std-curate` from labelling on: label, propagate, render, check, export, run."""
+"""Commands of `std-curate` from labels on: label, carry, propagate, render, check, export, run."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -18,6 +18,7 @@ from std_toolkit.commands import (
     RunCommand,
 )
 from std_toolkit.errors import ToolkitError
+from std_toolkit.labels.carry.options import CarryCommand
 
 # Failures of these steps end the run, because later steps need their results. A frame that could
 # not be rendered does not end it: the check reports missing frames.
@@ -46,6 +47,23 @@ def label(command: LabelArguments) -> int:
         sweep_temporaries(scene.root)
         for line in run_label_command(scene, command):
             print(line)
+    return 0
+
+
+def carry(command: CarryCommand) -> int:
+    """Carry poses over from another scene."""
+    from std_toolkit.labels.carry.carry_step import carry_labels, carry_lines
+    from std_toolkit.scene.scene import Scene
+
+    scene = Scene.open(command.scene)
+    plan = carry_labels(
+        scene, Scene.open(command.source), command.options, annotator=command.annotator
+    )
+    print("\n".join(carry_lines(plan, scene)))
+    print(
+        f"{len(plan.objects)} poses carried over, without a verdict: run `std-curate propagate "
+        "--refine`, then `std-curate check`"
+    )
     return 0
 
 

@@ -62,6 +62,12 @@ PROGRAM = Program(
             "labelling:label",
             "LabelArguments",
         ),
+        Command(
+            name="carry",
+            about="carry poses over from a scene of the same table",
+            options="std_toolkit.labels.carry.options:CarryCommand",
+            run="std_toolkit.cli.labelling:carry",
+        ),
         _command(
             "propagate",
             "propagate annotated poses to every registered frame",

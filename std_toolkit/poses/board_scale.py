@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -12,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from std_toolkit.errors import ToolkitError
+from std_toolkit.geometry import SE3, Camera
 from std_toolkit.io.foreign_files import read_json
 from std_toolkit.io.images import read_color
-from std_toolkit.jobs import run_jobs
+from std_toolkit.jobs import JobOptions, run_jobs
 from std_toolkit.poses.known_points import KnownView, scale_from_known_points
 from std_toolkit.poses.scale_sources import ScaleContext
 from std_toolkit.poses.tag_edges import edge_corners
+from std_toolkit.scene import Scene
 from std_toolkit.scene.model import ScaleEstimate
 from std_toolkit.settings import NOT_RECORDED, Settings, limit
 
@@ -130,31 +133,15 @@ class BoardScale:
                 "no board is described",
                 hint="give --board FILE or put board.json into the scene folder",
             )
-        board = Board.read(context.board)
-        frames = context.frames()
-        step = max(1, -(-len(frames) // MAX_FRAMES))
-        chosen = frames[::step]
-        paths = [str(context.scene.color_path(f)) for f in chosen]
-        report = run_jobs(
-            partial(detect_board, board=board), paths, name="board", options=context.jobs
+        views = board_views(
+            context.scene,
+            {f.id: (context.poses[f.id], context.camera(f)) for f in context.frames()},
+            Board.read(context.board),
+            context.jobs,
         )
-        report.raise_if_failed()
-        views = []
-        for frame, path in zip(chosen, paths, strict=True):
-            found = report.results[path]
-            if len(found.ids) >= limits.fewest_corners:
-                views.append(
-                    KnownView(
-                        T_cam_world=context.poses[frame.id],
-                        camera=context.camera(frame),
-                        ids=found.ids,
-                        xyz=found.xyz,
-                        uv=found.uv,
-                    )
-                )
         if len(views) < limits.fewest_frames:
             raise ToolkitError(
-                f"the board was detected in {len(views)} of {len(chosen)} registered frames, "
+                f"the board was detected in {len(views)} registered frames, "
                 f"{limits.fewest_frames} are needed",
                 path=context.board,
                 hint="check that the file describes this board and names its marker dictionary",
@@ -167,6 +154,47 @@ class BoardScale:
             note=f"{corners} corners in {len(views)} frames",
             threshold_m=0.02 * extent,
         )
+
+
+def board_views(
+    scene: Scene,
+    cameras: Mapping[int, tuple[SE3, Camera]],
+    board: Board,
+    jobs: JobOptions | None = None,
+) -> list[KnownView]:
+    """The corners of a board in up to `MAX_FRAMES` frames of a scene.
+
+    Args:
+        scene: the images.
+        cameras: T_cam_world and intrinsics of the registered frames by frame id.
+        board: what is looked for.
+        jobs: where the work runs.
+
+    Returns:
+        A view for each frame with enough corners.
+
+    Raises:
+        ToolkitError: an image cannot be read.
+    """
+    frames = [scene.frame(i) for i in cameras]
+    chosen = frames[:: max(1, -(-len(frames) // MAX_FRAMES))]
+    paths = [str(scene.color_path(f)) for f in chosen]
+    report = run_jobs(partial(detect_board, board=board), paths, name="board", options=jobs)
+    report.raise_if_failed()
+    views = []
+    for frame, path in zip(chosen, paths, strict=True):
+        found, (T_cam_world, camera) = report.results[path], cameras[frame.id]
+        if len(found.ids) >= BoardSettings.current().fewest_corners:
+            views.append(
+                KnownView(
+                    T_cam_world=T_cam_world,
+                    camera=camera,
+                    ids=found.ids,
+                    xyz=found.xyz,
+                    uv=found.uv,
+                )
+            )
+    return views
 
 
 def detect_board(path: Path | str, *, board: Board) -> BoardDetection:

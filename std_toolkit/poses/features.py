@@ -130,20 +130,28 @@ def load_features(folder: Path, name: str) -> Features:
 
 
 def _extract(job: FeatureJob, *, folder: Path, max_features: int) -> None:
+    color = read_color(job.image, size=job.size)
+    found = find_features(color, fine=job.fine, faint=job.faint, max_features=max_features)
+    with atomic_path(feature_path(folder, job.name)) as path:
+        np.savez(path, keypoints=found.keypoints, descriptors=found.descriptors)
+
+
+def find_features(
+    color: NDArray[np.uint8], *, fine: bool, faint: bool = False, max_features: int
+) -> Features:
+    """Find the SIFT features of an RGB image (H, W, 3); see `FeatureJob` for the options."""
     import pycolmap
 
     from std_toolkit.poses.colmap import HALF_PIXEL, quiet_colmap
 
-    grey = cv2.cvtColor(read_color(job.image, size=job.size), cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     with quiet_colmap():
-        keypoints, descriptors = _extractor(
-            job.fine, job.faint, max_features
-        ).extract_from_uint8_array(grey)
+        keypoints, descriptors = _extractor(fine, faint, max_features).extract_from_uint8_array(
+            grey
+        )
     matrix = np.asarray(pycolmap.keypoints_to_matrix(keypoints), dtype=np.float32).reshape(-1, 4)
     matrix[:, :2] -= HALF_PIXEL
-    data = np.asarray(descriptors.data, dtype=np.uint8).reshape(-1, 128)
-    with atomic_path(feature_path(folder, job.name)) as path:
-        np.savez(path, keypoints=matrix, descriptors=data)
+    return Features(matrix, np.asarray(descriptors.data, dtype=np.uint8).reshape(-1, 128))
 
 
 @lru_cache(maxsize=2)

@@ -99,7 +99,7 @@ def fit_body(views: Sequence[KnownView], *, threshold_m: float) -> BodyFit:
     Raises:
         ToolkitError: fewer than four points in two views, or no consistent similarity.
     """
-    model, body = _triangulate(views)
+    _, model, body = triangulate_points(views)
     if len(model) < 4:
         raise ToolkitError(
             "scale from known points needs at least 4 points in at least 2 registered frames",
@@ -109,7 +109,10 @@ def fit_body(views: Sequence[KnownView], *, threshold_m: float) -> BodyFit:
     return _refine(views, start)
 
 
-def _triangulate(views: Sequence[KnownView]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def triangulate_points(
+    views: Sequence[KnownView],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Ids (N,) of the points that two views show, their places (N, 3) in the world and the body."""
     rows: dict[int, list[NDArray[np.float64]]] = {}
     known: dict[int, NDArray[np.float64]] = {}
     for view in views:
@@ -118,15 +121,17 @@ def _triangulate(views: Sequence[KnownView]) -> tuple[NDArray[np.float64], NDArr
         for point, X, (x, y) in zip(view.ids, view.xyz, xy, strict=True):
             rows.setdefault(int(point), []).extend([x * P[2] - P[0], y * P[2] - P[1]])
             known[int(point)] = X
-    model, body = [], []
+    ids, model, body = [], [], []
     for point, equations in sorted(rows.items()):
         if len(equations) < 4:
             continue
         h = np.linalg.svd(np.array(equations))[2][-1]
         if abs(h[3]) > 1e-12:
+            ids.append(point)
             model.append(h[:3] / h[3])
             body.append(known[point])
-    return np.array(model).reshape(-1, 3), np.array(body).reshape(-1, 3)
+    shape = (-1, 3)
+    return np.array(ids, np.int64), np.array(model).reshape(shape), np.array(body).reshape(shape)
 
 
 def _refine(views: Sequence[KnownView], start: Similarity) -> BodyFit:

@@ -171,8 +171,8 @@ class LabelProvenance(document.Document, frozen=True, kw_only=True):
         time: time of the last edit of the pose, UTC, ISO 8601.
         tool: name of the tool, such as "std-annotate".
         version: version of the tool.
-        refinement: sentence on the refinement that gave the pose, or "" if it was edited manually
-            since.
+        refinement: sentence on the refinement that gave the pose, or on the scene that it was
+            carried over from; "" if it was edited manually since.
         hands_on_s: seconds that the annotator worked on this object, a lower bound, because each
             pause counts 30 s at most. Null without manual work, as in a script.
     """

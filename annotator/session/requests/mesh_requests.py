@@ -161,7 +161,7 @@ class ImportMesh(Request, frozen=True, kw_only=True, tag="import_mesh"):
             try:
                 model = copy_model(
                     snapshot.scene.root,
-                    _known(snapshot),
+                    known_models(snapshot),
                     path,
                     mesh_unit=self.unit,
                     category=self.category,
@@ -191,7 +191,7 @@ def _scanned_symmetry(mesh: Path) -> Path | None:
     return found if found.is_file() and (mesh.parent / "scan.json").is_file() else None
 
 
-def _known(snapshot: Snapshot) -> ObjectTable:
+def known_models(snapshot: Snapshot) -> ObjectTable:
     """Return the models of the state and those added by others meanwhile, to avoid overwriting."""
     own = snapshot.scene.objects
     ids = {m.id for m in own.models}

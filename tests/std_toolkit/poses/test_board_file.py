@@ -14,7 +14,7 @@ import pytest
 from std_toolkit.errors import ToolkitError
 from std_toolkit.io.images import write_color
 from std_toolkit.poses import board_scale
-from std_toolkit.poses.board_scale import Board, BoardScale, detect_board
+from std_toolkit.poses.board_scale import Board, detect_board
 
 
 def tag_image(ids: list[int], size: int = 120, gap: int = 40) -> tuple[np.ndarray, dict]:
@@ -112,12 +112,9 @@ def test_many_frames_are_thinned_evenly(
     board = tmp_path / "board.json"
     _, tags = tag_image([3])
     board.write_text(json.dumps({**tags, "tag_size_mm": 120}))
-    context = SimpleNamespace(
-        board=board, jobs=None, frames=lambda: list(range(frames)),
-        scene=SimpleNamespace(color_path=str),
-    )  # fmt: skip
+    scene = SimpleNamespace(frame=lambda number: number, color_path=str)
     with pytest.raises(ToolkitError, match="enough"):
-        BoardScale().estimate(context)
+        board_scale.board_views(scene, dict.fromkeys(range(frames)), Board.read(board))
     assert len(looked_at) == expected
     assert len({int(b) - int(a) for a, b in pairwise(looked_at)}) == 1
 

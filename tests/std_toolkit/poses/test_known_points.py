@@ -84,7 +84,7 @@ def test_a_refit_finds_the_scale_from_a_wrong_start() -> None:
 
 def test_points_are_triangulated_where_they_are() -> None:
     seen = views(3)
-    model, body = known_points._triangulate(seen)
+    _, model, body = known_points.triangulate_points(seen)
     np.testing.assert_allclose(body, seen[0].xyz)
     for view in seen:
         pixels = CAMERA.project(view.T_cam_world @ model)
