@@ -77,12 +77,12 @@ class JudgeSettings(Settings):
     """deviation of the motion of a misled contour, besides its own"""
     misled_deg: float = limit(1.8, unit="deg", source="the same scenes")
     """the same for its rotation"""
-    told_apart: float = limit(
-        0.9,
+    told_apart: Mapping[str, float] = limit(
+        {"specular": 0.9},
         source="world seeds 400 to 412 of setting kinds: refused faults of steel have 1.1 and more",
     )
-    """a contour that may be misled accuses no label at which its support is less by fewer
-    deviations"""
+    """a contour accuses no label at which its support is less by fewer deviations, by material: the
+    edges of reflections fit as well as those of the object"""
     likely: float = limit(
         0.5, source="setting kinds, steel: right labels that seem to be off by 2 to 4 deg"
     )
@@ -186,7 +186,8 @@ def _fits_as_well(item: ObjectCheck) -> bool:
     if there is None or label is None or there.value is None or label.value is None:
         return False
     deviation = float(np.hypot(there.std or 0.0, label.std or 0.0))
-    return there.value - label.value < JudgeSettings.current().told_apart * deviation
+    apart = JudgeSettings.current().told_apart.get(item.material, 0.0)
+    return there.value - label.value < apart * deviation
 
 
 @dataclass(frozen=True, eq=False)
