@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from fault_table import FaultCase, Study
 
-from sensors.synthetic.kinds import JUDGING
+from sensors.synthetic.kinds import JUDGING, SETTING
 from sensors.synthetic.world_faults import label_faults
 from sensors.synthetic.world_scene import world_scene
 
@@ -38,3 +38,20 @@ def test_labels_of_unseen_kinds(seed: int, tmp_path: Path) -> None:
                 fault.name,
                 row.verdict,
             )
+
+
+@pytest.mark.slow
+def test_steel_is_found_beside_its_label(tmp_path: Path) -> None:
+    """From the label itself the edges of the ball are out of reach."""
+    scene = world_scene(401, SETTING, frames=8, folder=tmp_path)
+    ball = next(o.id for o in scene.objects.objects if o.name == "ball_1")
+    fault = next(
+        f
+        for f in label_faults(scene, ball, seed=401)
+        if f.level == 2 and f.name.startswith("sideways")
+    )
+    case = FaultCase(fault.name, "fail", fault.apply(scene), objects=(ball,))
+    (row,) = (o for o in Study(scene).report(case).objects if o.object == ball)
+    assert row.verdict == "wrong"
+    assert row.text("support") == "seen"
+    assert row.value("motion_mm") == pytest.approx(12, abs=2)
