@@ -1,7 +1,8 @@
-"""Where an object is whose contour is not seen at its label.
+"""Contours of glass and steel, measured again from places beside their labels.
 
 The motion of a contour is solved from edges near it. On glass and steel a label that is far off
-finds too few of them. It is displaced to all sides then, and measured again from there.
+finds too few of them: it is displaced to all sides then. And a handle that hardly shows leaves more
+than one turn of a round body likely, of which the solution sees the nearest one only.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from std_toolkit.checks.measure.motion_solver import symmetry_motions
 from std_toolkit.checks.measure.object_motion import moved_item
 from std_toolkit.checks.measure.object_views import MeasuredPose, ObjectViews
 from std_toolkit.checks.measure.shared_errors import SharedErrors, seen_errors
+from std_toolkit.checks.measure.turns import TurnSettings
+from std_toolkit.checks.measure.wide_search import SearchedView
 from std_toolkit.checks.result import ObjectCheck
 from std_toolkit.labels.refine_step import scene_object
 from std_toolkit.options import CheckOptions
@@ -42,6 +45,10 @@ class StartSettings(Settings):
     )
     """log likelihood of independent samples by which the contour must fit better there than at the
     label; by material, others are not looked for"""
+    turn: float = limit(3.2, source="8 degrees for the usual limit of 2.5")
+    """angle of a turned start, in largest rotations that are accepted"""
+    weak: float = limit(0.2, source="turns of bodies that are round but for a handle have 0.4")
+    """turns whose deviation is a smaller part of the largest accepted rotation are not tried"""
 
 
 def with_displaced_starts(
@@ -53,7 +60,7 @@ def with_displaced_starts(
     up: Array,
 ) -> list[ObjectCheck]:
     """The rows of the objects; those that are not seen at their labels have the motion to where
-    they are seen.
+    they are seen, and those that may be turned otherwise a wider covariance.
 
     Args:
         scene: with labels.
@@ -63,60 +70,118 @@ def with_displaced_starts(
         up: (3,) unit vector that points up in the world.
     """
     views = ObjectViews(scene, frames)
-    return [
-        found
-        if _is_sought(o) and (found := _found_elsewhere(scene, o, views, options, up)) is not None
-        else o
-        for o in objects
-    ]
+    found = []
+    for item in objects:
+        support = item.text("support")
+        if item.material in StartSettings.current().gain and support:
+            again = _Again.of(scene, item, views)
+            if again is not None:
+                item = again.turned(options) if support == "seen" else again.sought(options, up)
+        found.append(item)
+    return found
 
 
-def _is_sought(item: ObjectCheck) -> bool:
-    support = item.entry("support")
-    if support is None or item.material not in StartSettings.current().gain:
-        return False
-    return support.text in ("faint", "absent", "loose")
+@dataclass(frozen=True, eq=False)
+class _Again:
+    """An object in the frames that show it largest, to be measured again.
 
+    Attributes:
+        scene, item: the object.
+        views: of it, by index.
+        label: measured at the label.
+        poses, frames: of the cameras, and ids, by index.
+        T, centre, free, axes: see `moved_item`.
+    """
 
-def _found_elsewhere(
-    scene: Scene, item: ObjectCheck, views: ObjectViews, options: CheckOptions, up: Array
-) -> ObjectCheck | None:
-    T = scene.T_world_obj(item.object)
-    if T is None or mesh_problem(scene, item.model) is not None:
-        return None
-    limits = StartSettings.current()
-    obj = scene_object(scene, item.object, T)
-    seen = views.of_object(item.object, obj, views.large(T @ obj.centre, obj.radius, _FRAMES))
-    if not seen:
-        return None
-    centre = next(iter(seen.values())).centre
-    free = symmetry_motions(obj.symmetry, T, centre)
-    label = MeasuredPose.of(seen, np.zeros(6), free)
-    if label is None:
-        return None
-    eye = np.mean([views.poses[k].t for k in seen], axis=0)
-    length = limits.distance * options.max_motion_mm / 1000
-    best, start = label, np.zeros(6)
-    for step in length * _directions(centre - eye):
-        motion = np.append(step, np.zeros(3))
-        there = MeasuredPose.of(seen, motion, free)
-        if there is not None and there.total > best.total:
-            best, start = there, motion
-    if best.total - label.unmoved < limits.gain[item.material]:
-        return None
-    ids = [views.frames[k].id for k in best.equations]
-    moved = moved_item(
-        msgspec.structs.replace(item, values=[]),
-        list(best.equations.values()),
-        free,
-        options,
-        axes=T.R,
-        shared=SharedErrors.of_material(item.material, up),
-        cameras=seen_errors(scene, ids, centre + start[:3]),
-    )
-    if moved.text("confirmed") != "yes":
-        return None
-    return _from_label(item, moved, start)
+    scene: Scene
+    item: ObjectCheck
+    views: Mapping[int, SearchedView]
+    label: MeasuredPose
+    frames: Mapping[int, int]
+    centre: Array
+    free: Array
+    axes: Array
+
+    @staticmethod
+    def of(scene: Scene, item: ObjectCheck, images: ObjectViews) -> _Again | None:
+        """None without views."""
+        T = scene.T_world_obj(item.object)
+        if T is None or mesh_problem(scene, item.model) is not None:
+            return None
+        obj = scene_object(scene, item.object, T)
+        chosen = images.large(T @ obj.centre, obj.radius, _FRAMES)
+        views = images.of_object(item.object, obj, chosen)
+        if not views:
+            return None
+        centre = next(iter(views.values())).centre
+        free = symmetry_motions(obj.symmetry, T, centre)
+        label = MeasuredPose.of(views, np.zeros(6), free)
+        if label is None:
+            return None
+        frames = {k: images.frames[k].id for k in views}
+        return _Again(scene, item, views, label, frames, centre, free, T.R)
+
+    def sought(self, options: CheckOptions, up: Array) -> ObjectCheck:
+        """The row, with the motion to where the object is seen if that is elsewhere."""
+        limits = StartSettings.current()
+        eye = np.mean([v.T_world_cam.t for v in self.views.values()], axis=0)
+        length = limits.distance * options.max_motion_mm / 1000
+        best, start = self.label, np.zeros(6)
+        for step in length * _directions(self.centre - eye):
+            motion = np.append(step, np.zeros(3))
+            there = MeasuredPose.of(self.views, motion, self.free)
+            if there is not None and there.total > best.total:
+                best, start = there, motion
+        if best.total - self.label.unmoved < limits.gain[self.item.material]:
+            return self.item
+        frames = [self.frames[k] for k in best.equations]
+        moved = moved_item(
+            msgspec.structs.replace(self.item, values=[]),
+            list(best.equations.values()),
+            self.free,
+            options,
+            axes=self.axes,
+            shared=SharedErrors.of_material(self.item.material, up),
+            cameras=seen_errors(self.scene, frames, self.centre + start[:3]),
+        )
+        return (
+            self.item if moved.text("confirmed") != "yes" else _from_label(self.item, moved, start)
+        )
+
+    def turned(self, options: CheckOptions) -> ObjectCheck:
+        """The row, with the deviation of a turn that the contour leaves open."""
+        limits = StartSettings.current()
+        entry = self.item.entry("motion_mm")
+        # Where there is a texture, it tells the turn.
+        if entry is None or entry.covariance is None or self.item.entry("texture_mm") is not None:
+            return self.item
+        covariance = np.reshape(entry.covariance, (6, 6))
+        values, axes = np.linalg.eigh(covariance[3:, 3:])
+        if np.sqrt(max(values[-1], 0)) < limits.weak * options.max_motion_deg:
+            return self.item
+        open_gain = TurnSettings.current().open_of(self.item.material)
+        found = None
+        for angle in np.deg2rad(limits.turn * options.max_motion_deg) * np.array([1, -1]):
+            start = np.append(np.zeros(3), angle * axes[:, -1])
+            there = MeasuredPose.of(self.views, start, self.free)
+            if there is None or there.total < self.label.total - open_gain:
+                continue
+            apart = start + there.motion.vector - self.label.motion.vector
+            far = np.rad2deg(np.linalg.norm(apart[3:])) > options.max_motion_deg
+            if far and (found is None or there.total > found[0]):
+                found = there.total, apart
+        if found is None:
+            return self.item
+        # Two turns are about as likely.
+        half = 0.5 * found[1] * np.array([1000.0] * 3 + [180 / np.pi] * 3)
+        wider = covariance + np.outer(half, half)
+        values = [
+            msgspec.structs.replace(v, covariance=[float(f"{x:.6g}") for x in wider.ravel()])
+            if v is entry
+            else v
+            for v in self.item.values
+        ]
+        return msgspec.structs.replace(self.item, values=values)
 
 
 def _directions(along: Array) -> Array:

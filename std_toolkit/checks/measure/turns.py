@@ -53,6 +53,10 @@ class TurnSettings(Settings):
     fewest_frames: int = limit(3, source="in one image, a turn and an error of the pose look alike")
     """frames that show the object"""
 
+    def open_of(self, material: str) -> float:
+        """`open_gain` of a material."""
+        return self.open_gain * self.reflecting.get(material, 1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class TurnByContour:
