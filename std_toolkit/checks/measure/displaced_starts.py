@@ -89,8 +89,9 @@ class _Again:
         scene, item: the object.
         views: of it, by index.
         label: measured at the label.
-        poses, frames: of the cameras, and ids, by index.
-        T, centre, free, axes: see `moved_item`.
+        frames: ids of the frames, by index.
+        centre: (3,) of the object in the world.
+        free, axes: see `moved_item`.
     """
 
     scene: Scene
@@ -156,8 +157,8 @@ class _Again:
         if entry is None or entry.covariance is None or self.item.entry("texture_mm") is not None:
             return self.item
         covariance = np.reshape(entry.covariance, (6, 6))
-        values, axes = np.linalg.eigh(covariance[3:, 3:])
-        if np.sqrt(max(values[-1], 0)) < limits.weak * options.max_motion_deg:
+        variances, axes = np.linalg.eigh(covariance[3:, 3:])
+        if np.sqrt(max(variances[-1], 0)) < limits.weak * options.max_motion_deg:
             return self.item
         open_gain = TurnSettings.current().open_of(self.item.material)
         found = None
