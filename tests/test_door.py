@@ -34,6 +34,8 @@ INPUTS = {
         "A",
         "B",
         "SCENES",
+        "--from",
+        "--points",
         "--depth-from",
         "--meshes",
         "--scenes",
