@@ -22,6 +22,12 @@ from std_toolkit.scene.frame_names import frame_title
 from std_toolkit.scene.model import SymmetryModel
 from std_toolkit.scene.scene import Scene
 
+# Fields of requests that name files.
+_PATHS: dict[type[Request], tuple[str, ...]] = {
+    ImportMesh: ("mesh",),
+    CarryOver: ("source", "board", "points"),
+}
+
 
 class Save(Document, frozen=True, kw_only=True, tag_field="edit", tag="save"):
     """Saves the edits into the scene; see `Session.save`."""
@@ -217,18 +223,14 @@ def _carry_out(session: Session, step: Step, path: Path) -> Iterator[str]:
             redone = session.undoable
             yield f"Redo: {redone.title if redone else ''}"
         case Request():
-            if isinstance(step, ImportMesh):
-                # Relative to the script, independent of the working directory.
-                mesh = path.parent / Path(step.mesh).expanduser()
-                step = msgspec.structs.replace(step, mesh=str(mesh))
-            if isinstance(step, CarryOver):
-                given = {k: getattr(step, k) for k in ("source", "board", "points")}
-                there = {
-                    k: str(path.parent / Path(v).expanduser())
-                    for k, v in given.items()
-                    if v is not None
-                }
-                step = msgspec.structs.replace(step, **there)
+            # Relative to the script, independent of the working directory.
+            given = {name: getattr(step, name) for name in _PATHS.get(type(step), ())}
+            there = {
+                name: str(path.parent / Path(value).expanduser())
+                for name, value in given.items()
+                if value is not None
+            }
+            step = msgspec.structs.replace(step, **there)
             outcome = session.perform(step)
             yield step.title
             yield from (f"  {line}" for line in outcome.report)

@@ -77,7 +77,7 @@ class JudgeSettings(Settings):
     """deviation of the motion of a misled contour, besides its own"""
     misled_deg: float = limit(1.8, unit="deg", source="the same scenes")
     """the same for its rotation"""
-    told_apart: Mapping[str, float] = limit(
+    distinct: Mapping[str, float] = limit(
         {"specular": 0.9},
         source="world seeds 400 to 412 of setting kinds: refused faults of steel have 1.1 and more",
     )
@@ -186,7 +186,7 @@ def _fits_as_well(item: ObjectCheck) -> bool:
     if there is None or label is None or there.value is None or label.value is None:
         return False
     deviation = float(np.hypot(there.std or 0.0, label.std or 0.0))
-    apart = JudgeSettings.current().told_apart.get(item.material, 0.0)
+    apart = JudgeSettings.current().distinct.get(item.material, 0.0)
     return there.value - label.value < apart * deviation
 
 

@@ -75,13 +75,31 @@ def with_displaced_starts(
     views = ObjectViews(scene, frames)
     found = []
     for item in objects:
-        support = item.text("support")
-        seen = support == "seen" and item.material not in DIFFUSE_MATERIALS
-        sought = support in _UNSEEN and item.material in StartSettings.current().gain
-        if (seen or sought) and (again := _Again.of(scene, item, views)) is not None:
-            item = again.turned(options) if seen else again.sought(options, up)
+        axis = _weak_axis(item, options)
+        if (axis is not None or _is_sought(item)) and (again := _Again.of(scene, item, views)):
+            item = again.sought(options, up) if axis is None else again.turned(options, axis)
         found.append(item)
     return found
+
+
+def _is_sought(item: ObjectCheck) -> bool:
+    return item.text("support") in _UNSEEN and item.material in StartSettings.current().gain
+
+
+def _weak_axis(item: ObjectCheck, options: CheckOptions) -> Array | None:
+    """The axis (3,) about which the contour determines the object least; None if it does so well.
+
+    Where there is a texture, it tells the turn.
+    """
+    entry = item.entry("motion_mm")
+    if item.material in DIFFUSE_MATERIALS or item.text("support") != "seen":
+        return None
+    if entry is None or entry.covariance is None or item.entry("texture_mm") is not None:
+        return None
+    variances, axes = np.linalg.eigh(np.reshape(entry.covariance, (6, 6))[3:, 3:])
+    if np.sqrt(max(variances[-1], 0)) < StartSettings.current().weak * options.max_motion_deg:
+        return None
+    return axes[:, -1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,21 +170,15 @@ class _Again:
             self.item if moved.text("confirmed") != "yes" else _from_label(self.item, moved, start)
         )
 
-    def turned(self, options: CheckOptions) -> ObjectCheck:
-        """The row, with the deviation of a turn that the contour leaves open."""
+    def turned(self, options: CheckOptions, axis: Array) -> ObjectCheck:
+        """The row, with the deviation of a turn about an axis that the contour leaves open."""
         limits = StartSettings.current()
         entry = self.item.entry("motion_mm")
-        # Where there is a texture, it tells the turn.
-        if entry is None or entry.covariance is None or self.item.entry("texture_mm") is not None:
-            return self.item
-        covariance = np.reshape(entry.covariance, (6, 6))
-        variances, axes = np.linalg.eigh(covariance[3:, 3:])
-        if np.sqrt(max(variances[-1], 0)) < limits.weak * options.max_motion_deg:
-            return self.item
+        assert entry is not None and entry.covariance is not None
         open_gain = TurnSettings.current().open_of(self.item.material)
         found = None
         for angle in np.deg2rad(limits.turn * options.max_motion_deg) * np.array([1, -1]):
-            start = np.append(np.zeros(3), angle * axes[:, -1])
+            start = np.append(np.zeros(3), angle * axis)
             there = MeasuredPose.of(self.views, start, self.free)
             if there is None or there.total < self.label.total - open_gain:
                 continue
@@ -178,7 +190,7 @@ class _Again:
             return self.item
         # Two turns are about as likely.
         half = 0.5 * found[1] * np.array([1000.0] * 3 + [180 / np.pi] * 3)
-        wider = covariance + np.outer(half, half)
+        wider = np.reshape(entry.covariance, (6, 6)) + np.outer(half, half)
         values = [
             msgspec.structs.replace(v, covariance=[float(f"{x:.6g}") for x in wider.ravel()])
             if v is entry

@@ -236,6 +236,6 @@ def _picture(scene: Scene, frame: Frame) -> _Picture:
 
 
 def spread_frames(frames: Sequence[Frame], most: int) -> list[Frame]:
-    """Up to so many frames, evenly over the recording."""
+    """At most `most` frames, evenly spaced over the recording."""
     count = min(len(frames), most)
     return [frames[i] for i in np.linspace(0, len(frames) - 1, count).round().astype(int)]

@@ -24,7 +24,7 @@ WORDS: dict[Found, str] = {
 }
 _PLURALS: dict[Found, str] = {"board": "corners", "features": "features", "points": "points"}
 _SAMPLES = 4000
-# Of up to so many points every triple is tried.
+# With at most this many points, every triple is tried.
 _FEW = 12
 
 
@@ -59,8 +59,8 @@ class RelationSettings(Settings):
     agree on the best one"""
     largest_scale: float = limit(0.03, source="two depth sensors that are off by 1.5 %")
     """largest difference of the scales of the two worlds"""
-    told_scale: float = limit(0.005, source="the systematic error of a scanned mesh")
-    """a larger difference of the scales is told"""
+    noted_scale: float = limit(0.005, source="the systematic error of a scanned mesh")
+    """a larger difference of the scales is noted"""
     largest_deviation_mm: float = limit(
         15.0, unit="mm", source="refinement converges from 30 mm: two standard deviations"
     )
@@ -240,7 +240,7 @@ def with_scale(relation: WorldRelation, scale: float, name: str) -> WorldRelatio
             f"the scales of the two scenes differ by {100 * differs:.1f} % (by {name})",
             hint="the camera poses of one have a wrong scale; see `std-curate poses`",
         )
-    if differs <= limits.told_scale:
+    if differs <= limits.noted_scale:
         return relation
     note = f"the scales of the two scenes differ by {100 * differs:.1f} %: refine the poses"
     return WorldRelation(**{**vars(relation), "notes": (*relation.notes, note)})
