@@ -167,8 +167,10 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     # Where a contour that may be misled contradicts the support, neither is believed alone; and
     # sources that contradict each other for no known reason accuse no label that is likely right.
     likely = verdict == "doubtful" and total >= limits.likely
-    accused = verdict in ("doubtful", "wrong")
-    if misled and (likely or (verdict == "fits" and apart_by) or (accused and _fits_as_well(item))):
+    as_well = verdict in ("doubtful", "wrong") and fits_as_well(
+        item, limits.distinct.get(item.material, 0.0)
+    )
+    if misled and (likely or (verdict == "fits" and apart_by) or as_well):
         verdict, cause = "unknown", "misled"
     elif likely and apart_by and not best.name:
         verdict, cause = "unknown", "contradicted"
@@ -180,13 +182,13 @@ def weigh(item: ObjectCheck, options: CheckOptions) -> Weighed | None:
     return Weighed(verdict, total, mm, deg, cause, reason, best.at, apart)
 
 
-def _fits_as_well(item: ObjectCheck) -> bool:
-    """Whether nearly as much of the contour lies on edges at the label as where it is put."""
+def fits_as_well(item: ObjectCheck, apart: float) -> bool:
+    """Whether nearly as much of the contour lies on edges at the label as where it is put: by fewer
+    than `apart` deviations less."""
     there, label = item.entry("support"), item.entry("label_support")
     if there is None or label is None or there.value is None or label.value is None:
         return False
     deviation = float(np.hypot(there.std or 0.0, label.std or 0.0))
-    apart = JudgeSettings.current().distinct.get(item.material, 0.0)
     return there.value - label.value < apart * deviation
 
 

@@ -371,13 +371,23 @@ def test_pixels_accuse_no_steel_whose_pose_is_not_determined(
 )
 def test_edges_beside_steel_may_be_those_of_its_highlights(material: str, word: str) -> None:
     """A right label of a steel banana, which reflects the table below."""
-    item = mug(material=material, shift_px=3.0, size_m=0.2, depth_mm=None, drift_px=None)
-    item = item.with_values(
-        [
-            Value(key="confirmed", value=0.0, source="contour", text="no"),
-            Value(key="support", value=0.41, std=0.12, source="contour", text="aside"),
-        ]
-    )
+    item = with_edges_aside(material, 0.41, 0.05)
     assert finding(item, "seen").verdict == word
     if material == "specular":
         assert verdict(item) == word
+
+
+def test_edges_that_fit_hardly_better_accuse_no_label_of_glass() -> None:
+    """A right label of a dish."""
+    assert finding(with_edges_aside("transparent", 0.27, 0.08), "seen").verdict == "unknown"
+
+
+def with_edges_aside(material: str, support: float, at_label: float) -> ObjectCheck:
+    item = mug(material=material, shift_px=3.0, size_m=0.2, depth_mm=None, drift_px=None)
+    return item.with_values(
+        [
+            Value(key="confirmed", value=0.0, source="contour", text="no"),
+            Value(key="support", value=support, std=0.12, source="contour", text="aside"),
+            Value(key="label_support", value=at_label, std=0.1, source="contour"),
+        ]
+    )
