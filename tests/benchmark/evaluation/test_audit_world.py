@@ -104,7 +104,15 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize(("name", "cameras"), [*((name, True) for name in FAULTS), ("5 mm", False)])
+@pytest.mark.parametrize(
+    ("name", "cameras"),
+    [
+        ("5 mm", True),
+        ("10 mm, 8 deg", True),
+        pytest.param("3 deg", True, marks=pytest.mark.long),
+        pytest.param("5 mm", False, marks=pytest.mark.long),
+    ],
+)
 def test_faults_are_found_with_their_size(
     exports: Path, tmp_path: Path, name: str, cameras: bool
 ) -> None:

@@ -67,7 +67,7 @@ def test_weights_are_tuned_and_scored_on_other_scenes(scenes: Path, tmp_path: Pa
     assert report.weights.stat().st_mtime_ns == before
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_goes_on_with_links_to_scenes(scenes: Path, tmp_path: Path, capsys) -> None:
     torch.set_num_threads(1)
     out = tmp_path / "out"

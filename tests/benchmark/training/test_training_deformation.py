@@ -262,7 +262,9 @@ def test_frames_without_objects_teach_nothing(priors):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "rate"), [("spd", 6e-3), ("sgpa", 4e-3)])
+@pytest.mark.parametrize(
+    ("method", "rate"), [("spd", 6e-3), pytest.param("sgpa", 4e-3, marks=pytest.mark.long)]
+)
 def test_a_network_that_knows_its_frame_finds_its_poses(method, rate, priors, tmp_path):
     """From training to poses: coordinates, fit, and the box of the deformed prior."""
     torch.set_num_threads(1)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from training_set import SIDE, SPLIT, TINY, packed, same, trained, wishes, write_scenes
+from training_set import LARGE, SIDE, SPLIT, TINY, packed, same, trained, wishes, write_scenes
 
 from benchmark.cli.bench import main as bench
 from benchmark.cli.train import main
@@ -104,7 +104,9 @@ def test_from_packing_to_the_leaderboard(method, data, tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", TINY)
+@pytest.mark.parametrize(
+    "method", [pytest.param(m, marks=pytest.mark.long if m in LARGE else []) for m in TINY]
+)
 def test_training_learns(method, pack, tmp_path):
     """Nine frames by heart: the loss falls to less than half."""
     settings, rate = dict(TINY[method]), 3e-3

@@ -18,7 +18,7 @@ from training_set import TINY, packed, same, write_scenes
 from benchmark.training.run_files import CHECKPOINT
 from std_toolkit.jobs.guard import children_of
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 _LONGEST = float(os.environ.get("STD_TEST_PATIENCE", "100"))  # seconds; a busy machine needs more
 
 

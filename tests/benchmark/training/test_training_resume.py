@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from training_set import HERE, TINY, packed, same, trained, wishes, write_scenes
+from training_set import HERE, LARGE, TINY, packed, same, trained, wishes, write_scenes
 
 from benchmark.training.run_files import CHECKPOINT, is_trained
 from std_toolkit.cli.command import exit_status
@@ -33,7 +33,7 @@ class Interrupted(Exception):
 @pytest.mark.parametrize(
     ("method", "at"),
     [
-        *((method, 3) for method in TINY),
+        *(pytest.param(m, 3, marks=pytest.mark.long if m in LARGE else []) for m in TINY),
         # What lies between two checkpoints is the same for every network.
         *(pytest.param(m, 4, marks=[] if m == "dfnet" else pytest.mark.long) for m in TINY),
     ],

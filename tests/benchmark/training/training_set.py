@@ -65,6 +65,8 @@ TINY = {
         "head_channels": "8",
     },
 }
+# Those that train longest are tried in the long form only, where others do the same.
+LARGE = ("cleargrasp", "two-branch")
 
 
 def write_scenes(root: Path, scenes: int = 4, frames: int = 3, seed: int = 0) -> Path:

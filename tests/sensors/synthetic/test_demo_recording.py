@@ -79,7 +79,7 @@ def test_depth_is_that_of_the_floor_with_holes(recording: Path) -> None:
     assert abs(np.median((depth - floor)[measured])) < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_and_started_again_it_is_the_same(
     recording: Path, parts: Path, tmp_path: Path
 ) -> None:

@@ -62,6 +62,7 @@ def first_frame(recording: tuple[Path, Truth], seed: int = 0) -> dict[str, SE3]:
     return annotate_first_frame(truth, extents_m=extents, seed=seed)
 
 
+@pytest.mark.long
 def test_a_wrong_scale_of_the_camera_poses_is_mended(tmp_path, recording):
     scene = make_scene(tmp_path / "scene", recording, scale=0.985)
     annotate(scene, recording, first_frame(recording, seed=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import signal
@@ -171,7 +172,8 @@ def test_depth_correction_scales_the_poses(copy: Scene) -> None:
 
 @pytest.mark.slow
 def test_a_frame_that_shows_something_else_is_marked_not_guessed(recording, tmp_path: Path) -> None:
-    scene = recording.write(tmp_path / "scene")
+    nine = {name: value[3:12] for name, value in vars(recording).items()}
+    scene = dataclasses.replace(recording, **nine).write(tmp_path / "scene")
     rng = np.random.default_rng(0)
     from std_toolkit.io.images import write_color
 
@@ -180,7 +182,7 @@ def test_a_frame_that_shows_something_else_is_marked_not_guessed(recording, tmp_
     poses = estimate_poses(scene, PoseOptions(threads=1, min_registered=0.99))
     lost = poses.frames[6]
     assert lost.status == "unregistered" and lost.T_world_cam is None
-    assert sum(p.status == "registered" for p in poses.frames) == len(recording.colors) - 1
+    assert sum(p.status == "registered" for p in poses.frames) == 8
     failed = failed_gates(poses)
     assert failed and "000006" in failed[0] and "record again" in failed[0]
     assert (scene.root / "poses.json").is_file()

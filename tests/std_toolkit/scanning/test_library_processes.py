@@ -51,6 +51,7 @@ def begin(words: list[str], out: Path) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.long
 def test_a_run_that_is_killed_resumes_and_loses_nothing(words: list[str], tmp_path: Path) -> None:
     out = tmp_path / "things"
     first = begin(words, out)

@@ -26,7 +26,7 @@ def without_depth(views: list[View]) -> Side:
     )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_plain_block_fits_in_several_turns() -> None:
     block = trimesh.creation.box((0.08, 0.05, 0.06)).apply_translation([0, 0, 0.03])
     first = without_depth(photos(block, SE3.identity(), plain))

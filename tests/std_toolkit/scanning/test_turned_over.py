@@ -144,7 +144,7 @@ def test_a_plain_block_is_ambiguous_and_another_object_refused(tmp_path: Path) -
         find_turn(first, surface, third, side_surface(third, 70, 1))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_plain_block_with_a_step_is_found_by_its_outlines(tmp_path: Path) -> None:
     mesh = dented_block()
     T = standing(mesh, OVER)

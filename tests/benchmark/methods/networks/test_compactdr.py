@@ -257,7 +257,7 @@ def test_phases_train_their_parts(phase):
     assert sorted(every) == sorted(("encoder", *MASK_PARTS, *DEPTH_PARTS))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_four_frames_are_learned_by_their_colour():
     torch.manual_seed(0)
     network = CompactDRNetwork(replace(SMALL, channels=(16, 16, 16, 16, 16))).train()

@@ -17,7 +17,9 @@ pytestmark = pytest.mark.slow
 STEPS = {"swindrnet-nocs": 200, "nocs": 200}
 
 
-@pytest.fixture(scope="module", params=list(TINY))
+@pytest.fixture(
+    scope="module", params=["swindrnet-nocs", pytest.param("nocs", marks=pytest.mark.long)]
+)
 def learnt(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict:
     method, folder = request.param, tmp_path_factory.mktemp(request.param)
     root = write_things(folder / "data")
