@@ -286,9 +286,9 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
         name = QFontMetrics(bold).elidedText(row.name, Qt.TextElideMode.ElideRight, free.width())
         painter.drawText(free, left | middle, name)
         at = top.left() + QFontMetrics(bold).horizontalAdvance(name) + 6
-        for place, (drawn, color_of) in enumerate(signs):
+        for k, (drawn, color_of) in enumerate(signs):
             sign = pixmap(drawn, 12, theme.ON_CHOSEN if selected else color_of, 2.0)
-            painter.drawPixmap(QRect(at + 18 * place, top.center().y() - 6, 12, 12), sign)
+            painter.drawPixmap(QRect(at + 18 * k, top.center().y() - 6, 12, 12), sign)
         painter.restore()
 
 
