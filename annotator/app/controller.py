@@ -333,6 +333,8 @@ class Controller:
 
     def drag_to(self, name: str, frame: int, T_cam_obj: SE3) -> None:
         """Set the preview pose of a dragged object; `end_drag` commits it."""
+        if self.session.object(name).locked:
+            return
         self._drag = (name, frame, T_cam_obj)
         self.emit(events.Event("preview", objects=(name,)))
 

@@ -48,6 +48,7 @@ STROKES = {
     "specular": "M12 4a8 8 0 1 0 .01 0 M8 9.500c1-2 2.500-2.800 4-2.900",
     "transparent": "M12 4a8 8 0 1 0 .01 0 M7 14c2 2.500 4.500 3.500 8 2.500",
     "note": "M5 4h14v11l-5 5H5z M14 20v-5h5 M8 9h8 M8 13h4",
+    "lock": "M5 11h14v10H5z M8 11V8a4 4 0 0 1 8 0v3 M12 15v2",
     "unplace": "M4 8V4h4 M16 4h4v4 M20 16v4h-4 M8 20H4v-4 M9 9l6 6 M15 9l-6 6",
     "folder": "M3 6h6l2 2h10v11H3z",
 }

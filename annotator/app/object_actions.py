@@ -88,6 +88,10 @@ def _set_material(material: Material, tip: str) -> action.Action:
     )
 
 
+def _locked(c: Controller) -> bool:
+    return c.selected is not None and c.session.object(c.selected).locked
+
+
 OBJECT_ACTIONS: tuple[action.Action, ...] = (
     action.Action(
         "next_object",
@@ -187,6 +191,17 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         pose_checks.toggle_done,
         lambda c: c.selected is not None and c.session.object(c.selected).status == "done",
         action.not_placed,
+        group="state",
+    ),
+    action.Action(
+        "lock",
+        "Object",
+        "Lock",
+        ("L",),
+        "Keep the pose of the selected object from being changed, or allow it again.",
+        lambda c: c.apply(ChangeObject(object=str(c.selected), locked=not _locked(c))),
+        lambda c: _locked(c),
+        action.none_selected,
         group="state",
     ),
     _set_material("raw", "The object's own, diffuse surface: the depth sensor is trusted on it."),

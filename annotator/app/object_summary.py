@@ -30,6 +30,7 @@ class ObjectSummary:
         grade: of the residual.
         alarm: penetration, such as "3 mm into mug"; "" if there is none.
         noted: whether the object has a note.
+        locked: whether its pose cannot be changed.
         explanation: residual and penetration in sentences.
     """
 
@@ -42,6 +43,7 @@ class ObjectSummary:
     grade: Grade
     alarm: str
     noted: bool
+    locked: bool
     explanation: str
 
 
@@ -59,7 +61,7 @@ def matching(rows: Sequence[ObjectSummary], sought: str) -> list[ObjectSummary]:
 def searched(row: ObjectSummary) -> str:
     """Return the words of a row among which `matching` looks, in lower case."""
     parts = (row.name, row.model, row.material, row.state, row.badge, row.grade, row.alarm)
-    return " ".join(parts).casefold()
+    return " ".join((*parts, "locked" if row.locked else "")).casefold()
 
 
 def progress(c: Controller) -> str:
@@ -109,6 +111,8 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
         )
     elif state == "not placed":
         parts.append("Drag it onto the image.")
+    if obj.locked:
+        parts.append("Locked: L allows changes of its pose.")
     if obj.note:
         parts.append(f"Note: {obj.note}")
     alarm, _ = penetration(c, obj.name)
@@ -128,6 +132,7 @@ def _summary(c: Controller, obj: ObjectState) -> ObjectSummary:
         grade,
         alarm,
         bool(obj.note),
+        obj.locked,
         explanation,
     )
 
@@ -182,6 +187,8 @@ def next_hint(c: Controller) -> str:
     if c.selected is None:
         return "Click an object in the list or in a view to select it."
     obj = state.object(c.selected)
+    if obj.locked:
+        return f"{obj.name} is locked, so its pose stays: L unlocks it."
     if c.clicking:
         return _clicking_hint(c)
     if c.session.pose(obj.name, c.active_frame) is None:

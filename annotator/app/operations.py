@@ -14,6 +14,7 @@ from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
 from annotator.session import ClearPose
+from annotator.session.edits.object_edits import refuse_locked
 from annotator.session.saving import PropagationResult, propagate_saved_labels
 
 if TYPE_CHECKING:
@@ -45,6 +46,9 @@ def refine(controller: Controller, *, all_objects: bool = False) -> None:
         names = [o.name for o in session.state.objects if session.pose(o.name, frame) is not None]
     else:
         names = [n for n in (controller.selected,) if n is not None]
+    if names and all(session.object(n).locked for n in names):
+        controller.attempt(lambda: refuse_locked(session.object(names[0])))
+        return
     if not names:
         controller.tell("Place an object first: there is nothing to refine.", "warning")
         return

@@ -30,7 +30,7 @@ from std_toolkit.html.plots import object_color
 from std_toolkit.labels.entry.label import MATERIALS
 
 _MENU = (
-    ("done", "zoom_object"),
+    ("done", "lock", "zoom_object"),
     ("rename", "note", "symmetry"),
     ("flip_x", "flip_y", "flip_z"),
     ("quarter_x", "quarter_y", "quarter_z"),
@@ -98,7 +98,7 @@ class ObjectPanel(Panel):
         self.material.activated.connect(self._set_material)
         below = QtWidgets.QHBoxLayout()
         below.addWidget(self.material, 1)
-        for id in ("done", "note", "unplace", "remove_object"):
+        for id in ("done", "lock", "note", "unplace", "remove_object"):
             below.addWidget(tool_button(commands.actions[id]))
 
         layout = QtWidgets.QVBoxLayout(self)
@@ -280,13 +280,15 @@ class ObjectDelegate(QtWidgets.QStyledItemDelegate):
         painter.setFont(bold)
         ink = theme.MUTED if row.state == "not placed" else theme.TEXT
         painter.setPen(QColor(theme.ON_CHOSEN if selected else ink))
-        free = top.adjusted(0, 0, -word - (18 if row.noted else 0), 0)
+        signs = [("lock", theme.TEXT)] if row.locked else []
+        signs += [("note", theme.WARNING)] if row.noted else []
+        free = top.adjusted(0, 0, -word - 18 * len(signs), 0)
         name = QFontMetrics(bold).elidedText(row.name, Qt.TextElideMode.ElideRight, free.width())
         painter.drawText(free, left | middle, name)
-        if row.noted:
-            at = top.left() + QFontMetrics(bold).horizontalAdvance(name) + 6
-            sign = pixmap("note", 12, theme.ON_CHOSEN if selected else theme.WARNING, 2.0)
-            painter.drawPixmap(QRect(at, top.center().y() - 6, 12, 12), sign)
+        at = top.left() + QFontMetrics(bold).horizontalAdvance(name) + 6
+        for k, (drawn, color_of) in enumerate(signs):
+            sign = pixmap(drawn, 12, theme.ON_CHOSEN if selected else color_of, 2.0)
+            painter.drawPixmap(QRect(at + 18 * k, top.center().y() - 6, 12, 12), sign)
         painter.restore()
 
 

@@ -60,11 +60,11 @@ class Merged:
 def content(obj: ObjectState | None) -> dict[str, Any]:
     """Return the saved content of an object, in the parts that are merged separately."""
     if obj is None:
-        return {"object": None, "pose": {}, "work": ("open", "", {}, msgspec.UNSET)}
+        return {"object": None, "pose": {}, "work": ("open", "", False, {}, msgspec.UNSET)}
     return {
         "object": (obj.name, obj.model, obj.material),
         "pose": {f: p.T_cam_obj for f, p in obj.placements.items()},
-        "work": (obj.status, obj.note, obj.clicks, obj.judgement),
+        "work": (obj.status, obj.note, obj.locked, obj.clicks, obj.judgement),
     }
 
 
@@ -153,6 +153,7 @@ def _merged_object(
         placements=pose.placements,
         status=work.status if pose.placements else "open",
         note=work.note,
+        locked=work.locked,
         judgement=work.judgement,
         judged_frame=work.judged_frame,
         clicks=work.clicks,
@@ -244,6 +245,7 @@ def state_of(scene: Scene, cameras: Cameras, stored: Stored) -> Opened:
                 material=obj.material,
                 status=work.status if placements else "open",
                 note=work.note,
+                locked=work.locked,
                 judgement=work.judgement,
                 judged_frame=_judged_frame(work, placements),
                 placements=placements,

@@ -204,6 +204,7 @@ def _work(obj: ObjectState, judgement: Judgement | msgspec.UnsetType) -> ObjectA
         object=obj.id,
         status=obj.status,
         note=obj.note,
+        locked=obj.locked,
         judgement=judgement,
         clicks=[
             ClickedPoint(frame=frame, u=c.u, v=c.v, point=c.point)

@@ -78,6 +78,7 @@ class ObjectState(document.Document, frozen=True, kw_only=True):
         clicks: 2D-3D correspondences by frame id.
         status: "done" if the annotator has finished it.
         note: free text, such as what to check.
+        locked: whether edits of its pose are refused.
         judgement: what was measured of the pose in the frame `judged_frame`, as long as there is
             such a measurement; `Queries.judgement` says whether it still holds.
         judged_frame: frame whose camera `judgement.T_obj` refers to.
@@ -89,6 +90,7 @@ class ObjectState(document.Document, frozen=True, kw_only=True):
     material: Material
     status: Status = "open"
     note: str = ""
+    locked: bool = False
     judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
     judged_frame: document.Count | msgspec.UnsetType = msgspec.UNSET
     placements: dict[document.Count, Placement] = msgspec.field(default_factory=dict)

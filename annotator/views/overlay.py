@@ -74,7 +74,7 @@ class OverlaidView(viewpoint.Viewpoint, ABC):
             return None
         T_eye_obj = solid.T_eye_obj
         centre = T_eye_obj @ solid.shape.centre
-        if centre[2] < 0.02:
+        if centre[2] < 0.02 or controller.session.object(str(controller.selected)).locked:
             return None
         axes = T_eye_obj.R if controller.axes == "object" else self.T_eye_cam.R
         largest = LARGEST_GIZMO_PX * self.pixel_ratio

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from annotator.app.controller import Controller
 from annotator.app.view_options import Mode
+from annotator.session.edits.object_edits import refuse_locked
 from annotator.views import drags, gizmo, interaction, scene_view
 from std_toolkit.geometry import SE3, so3_exp
 
@@ -279,6 +280,8 @@ class Pointer:
         if name is None or pose is None or solid is None or not controller.session.writable:
             return
         controller.activate_view(view.slot)
+        if not controller.attempt(lambda: refuse_locked(controller.session.object(name))):
+            return
         centre = pose @ solid.shape.centre
         if self._interactor.GetShiftKey():
             R = so3_exp(notches * np.deg2rad(controller.step) * view.up())

@@ -246,6 +246,7 @@ def _objects(c: controller.Controller) -> list[dict[str, Any]]:
             "model": s.model,
             "state": s.state,
             "noted": s.noted,
+            "locked": s.locked,
             "badge": s.badge,
             "grade": s.grade,
             "alarm": s.alarm,

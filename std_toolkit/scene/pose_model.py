@@ -206,6 +206,7 @@ class ObjectAnnotation(document.Document, frozen=True, kw_only=True):
         object: object id.
         status: "done" if the annotator accepted the pose.
         note: free text, such as what to check again.
+        locked: whether its pose must not be changed.
         clicks: clicked points per frame in the order in which they were made.
         judgement: what the annotation tool says of the pose in the annotated frame; absent if it
             was not measured.
@@ -214,6 +215,7 @@ class ObjectAnnotation(document.Document, frozen=True, kw_only=True):
     object: document.ObjectId
     status: Literal["open", "done"] = "open"
     note: str = ""
+    locked: bool = False
     clicks: list[ClickedPoint] = msgspec.field(default_factory=list)
     judgement: Judgement | msgspec.UnsetType = msgspec.UNSET
 

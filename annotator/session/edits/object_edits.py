@@ -88,6 +88,11 @@ class EnterModel(Edit, frozen=True, kw_only=True, tag="enter_model"):
 
     def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
         del context
+        known = next((m for m in state.models if m.id == self.model.id), None)
+        if known is not None and known.mesh != self.model.mesh:
+            for obj in state.objects:
+                if obj.model == known.id:
+                    refuse_locked(obj)
         return state.with_model(self.model)
 
 
@@ -165,13 +170,15 @@ class RemoveObject(Edit, frozen=True, kw_only=True, tag="remove_object"):
     def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
         del context
         gone = state.object(self.object)
+        refuse_locked(gone)
         return msgspec.structs.replace(state, objects=[o for o in state.objects if o.id != gone.id])
 
 
 class ChangeObject(Edit, frozen=True, kw_only=True, tag="change_object"):
-    """Changes name, material, status or note of an object; None leaves a field unchanged.
+    """Changes name, material, status, note or lock of an object; None leaves a field unchanged.
 
     Attributes:
+        locked: whether edits of its pose are refused from now on.
         anyway: mark as done though the pose is not known to fit; a script that does without it
             is refused.
     """
@@ -181,17 +188,20 @@ class ChangeObject(Edit, frozen=True, kw_only=True, tag="change_object"):
     material: Material | None = None
     status: Status | None = None
     note: str | None = None
+    locked: bool | None = None
     anyway: bool = False
 
     def check(self) -> None:
         if not self._changes:
-            raise ToolkitError("nothing to change", hint="give name, material, status or note")
+            raise ToolkitError(
+                "nothing to change", hint="give name, material, status, note or locked"
+            )
 
     @property
-    def _changes(self) -> dict[str, str]:
+    def _changes(self) -> dict[str, str | bool]:
         return {
             field: value
-            for field in ("name", "material", "status", "note")
+            for field in ("name", "material", "status", "note", "locked")
             if (value := getattr(self, field)) is not None
         }
 
@@ -201,6 +211,8 @@ class ChangeObject(Edit, frozen=True, kw_only=True, tag="change_object"):
             return f"Mark {self.object} as {self.status}"
         if self.name is not None:
             return f"Rename {self.object} to {self.name}"
+        if self.locked is not None:
+            return f"{'Lock' if self.locked else 'Unlock'} {self.object}"
         return f"Set {' and '.join(self._changes)} of {self.object}"
 
     @property
@@ -221,6 +233,15 @@ class ChangeObject(Edit, frozen=True, kw_only=True, tag="change_object"):
             check_name(self.name)
             _refuse_name(state, self.name, field="name")
         return state.with_object(msgspec.structs.replace(obj, **self._changes))
+
+
+def refuse_locked(obj: ObjectState) -> None:
+    """Raise ToolkitError if the object is locked: its pose must not be changed."""
+    if obj.locked:
+        raise ToolkitError(
+            f"{obj.name} is locked",
+            hint='press L to unlock it, or set "locked" to false with change_object in a script',
+        )
 
 
 def _refuse_name(state: AnnotationState, name: str, *, field: str) -> None:

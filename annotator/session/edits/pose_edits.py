@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from annotator.session.edits.object_edits import Edit, EditContext
+from annotator.session.edits.object_edits import Edit, EditContext, refuse_locked
 from annotator.session.state import AnnotationState, Click, Placement
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3, so3_exp
@@ -50,6 +50,7 @@ class PoseChange(document.Document, frozen=True, kw_only=True):
             )
         _check_distance(document.pose_from_list(self.T_cam_obj))
         obj = state.object(self.object)
+        refuse_locked(obj)
         kept = {} if context.shared else obj.placements
         placement = Placement(
             T_cam_obj=self.T_cam_obj,
@@ -176,6 +177,7 @@ class ClearPose(Edit, frozen=True, kw_only=True, tag="clear_pose"):
 
     def apply(self, state: AnnotationState, context: EditContext) -> AnnotationState:
         obj = state.object(self.object)
+        refuse_locked(obj)
         if not obj.placements or not (context.shared or self.frame in obj.placements):
             raise ToolkitError(
                 "this object has no pose to remove", field="object", value=self.object

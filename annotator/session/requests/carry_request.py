@@ -58,6 +58,7 @@ class CarryOver(Request, frozen=True, kw_only=True, tag="carry_over"):
                 overwrite=self.overwrite,
             ),
             placed={o.name for o in snapshot.state.objects if o.placements},
+            locked={o.name for o in snapshot.state.objects if o.locked},
             progress=watch.progress,
             check=check,
         )

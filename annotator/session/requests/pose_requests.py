@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from annotator.session.edits import PoseChange, SetPoses
+from annotator.session.edits.object_edits import refuse_locked
 from annotator.session.requests.mesh_requests import Outcome, Request, RequestCancelled, Watch
 from annotator.session.state import Snapshot
 from std_toolkit.errors import ToolkitError
@@ -24,7 +25,7 @@ Numbers4 = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]
 
 
 class Refine(Request, frozen=True, kw_only=True, tag="refine"):
-    """Fits objects jointly; the other placed objects act as occluders.
+    """Fits objects jointly; the other placed objects, and locked ones, act as occluders.
 
     Attributes:
         objects: names of the objects to fit.
@@ -52,7 +53,10 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
     def carry_out(self, snapshot: Snapshot, watch: Watch) -> Outcome:
         from std_toolkit.labels.auto_refine import RefineCancelled, refine_objects
 
-        ids = {name: snapshot.object(name).id for name in self.objects}
+        named = [snapshot.object(name) for name in self.objects]
+        ids = {obj.name: obj.id for obj in named if not obj.locked}
+        if not ids:
+            refuse_locked(named[0])
         alone = self._lone_frame(snapshot)
         poses = _poses(snapshot, alone)
         frame = self.frame
@@ -71,7 +75,8 @@ class Refine(Request, frozen=True, kw_only=True, tag="refine"):
         except RefineCancelled as error:
             raise RequestCancelled("the refinement was cancelled") from error
         changes, report = [], []
-        warnings = [
+        warnings = [f"{obj.name} is locked and keeps its pose." for obj in named if obj.locked]
+        warnings += [
             f"{snapshot.scene.objects.object(i).name} keeps its pose: {error}"
             for i, error in found.failures.items()
         ]
@@ -185,7 +190,9 @@ class SolvePnP(Request, frozen=True, kw_only=True, tag="solve_pnp"):
 
     def carry_out(self, snapshot: Snapshot, watch: Watch) -> Outcome:
         del watch
-        clicks = snapshot.object(self.object).clicks.get(self.frame, [])
+        obj = snapshot.object(self.object)
+        refuse_locked(obj)
+        clicks = obj.clicks.get(self.frame, [])
         frame = snapshot.scene.frame(self.frame)
         if len(clicks) < 4:
             raise ToolkitError(
@@ -250,6 +257,7 @@ class SnapToTable(Request, frozen=True, kw_only=True, tag="snap_to_table"):
         from std_toolkit.labels.support.plane import snap_to_plane
 
         obj = snapshot.object(self.object)
+        refuse_locked(obj)
         frame = self.frame if self.frame is not None else next(iter(obj.placements), None)
         T_cam_obj = snapshot.pose(self.object, frame) if frame is not None else None
         if frame is None or T_cam_obj is None:

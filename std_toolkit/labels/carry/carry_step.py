@@ -137,7 +137,9 @@ def carry_labels(
     with scene.lock():
         sweep_temporaries(scene.root)
         placed = {scene.objects.object(x.object).name for x in scene.labels.labels}
-        plan = plan_carry(scene, source, options, placed=placed)
+        ids = {x.object for x in scene.annotation.objects if x.locked}
+        locked = {o.name for o in scene.objects.objects if o.id in ids}
+        plan = plan_carry(scene, source, options, placed=placed, locked=locked)
         labels, annotation = scene.labels, scene.annotation
         table = scene.objects
         carried: list[Label] = []
@@ -204,6 +206,7 @@ def plan_carry(
     options: CarryOptions | None = None,
     *,
     placed: Collection[str],
+    locked: Collection[str] = (),
     progress: Progress = lambda _: None,
     check: Callable[[], None] = lambda: None,
 ) -> CarryPlan:
@@ -214,6 +217,7 @@ def plan_carry(
         source: the scene to carry from.
         options: the way, and what is carried over.
         placed: names of the objects that have a pose in `scene`.
+        locked: names of those in `scene` that keep what they have.
         progress: called with the completed fraction, 0 to 1.
         check: called often; raises an error to stop.
 
@@ -234,7 +238,7 @@ def plan_carry(
     matched = [
         (theirs, known, model)
         for theirs, known, model in matched_objects(scene, source, wanted, options, left_out)
-        if not is_kept(theirs if known is None else known, placed, options, left_out)
+        if not is_kept(theirs if known is None else known, placed, options, left_out, locked)
     ]
     if not matched:
         raise ToolkitError(

@@ -104,12 +104,17 @@ def matched_objects(
 
 
 def is_kept(
-    obj: Object, placed: Collection[str], options: CarryOptions, left_out: list[tuple[str, str]]
+    obj: Object,
+    placed: Collection[str],
+    options: CarryOptions,
+    left_out: list[tuple[str, str]],
+    locked: Collection[str] = (),
 ) -> bool:
     """Whether an object keeps the pose that it has; it is added to `left_out` then."""
-    if obj.name not in placed or options.overwrite:
+    if obj.name not in locked and (obj.name not in placed or options.overwrite):
         return False
-    left_out.append((obj.name, "it has a pose here already"))
+    why = "it is locked" if obj.name in locked else "it has a pose here already"
+    left_out.append((obj.name, why))
     return True
 
 
