@@ -18,6 +18,7 @@ from annotator.app import events, tasks, view_options
 from annotator.app.findings import Findings
 from annotator.session import ChangeObject, Move, Session, SetPoses
 from annotator.session.edits import AnyEdit, Axes
+from annotator.session.edits.object_edits import refuse_locked
 from annotator.session.session import Change
 from std_toolkit.errors import ToolkitError
 from std_toolkit.geometry import SE3
@@ -330,6 +331,10 @@ class Controller:
         """
         if self.selected is not None:
             self.apply(ChangeObject(object=self.selected, status=status, anyway=anyway))
+
+    def may_move(self, name: str) -> bool:
+        """Return whether the pose of an object may be changed; say why not."""
+        return self.attempt(lambda: refuse_locked(self.session.object(name)))
 
     def drag_to(self, name: str, frame: int, T_cam_obj: SE3) -> None:
         """Set the preview pose of a dragged object; `end_drag` commits it."""

@@ -200,7 +200,7 @@ OBJECT_ACTIONS: tuple[action.Action, ...] = (
         ("L",),
         "Keep the pose of the selected object from being changed, or allow it again.",
         lambda c: c.apply(ChangeObject(object=str(c.selected), locked=not _locked(c))),
-        lambda c: _locked(c),
+        _locked,
         action.none_selected,
         group="state",
     ),

@@ -14,7 +14,6 @@ from annotator.app.controller import Controller
 from annotator.app.events import Event
 from annotator.app.tasks import Task
 from annotator.session import ClearPose
-from annotator.session.edits.object_edits import refuse_locked
 from annotator.session.saving import PropagationResult, propagate_saved_labels
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ def refine(controller: Controller, *, all_objects: bool = False) -> None:
     else:
         names = [n for n in (controller.selected,) if n is not None]
     if names and all(session.object(n).locked for n in names):
-        controller.attempt(lambda: refuse_locked(session.object(names[0])))
+        controller.may_move(names[0])
         return
     if not names:
         controller.tell("Place an object first: there is nothing to refine.", "warning")

@@ -13,7 +13,6 @@ from vtkmodules.vtkInteractionStyle import vtkInteractorStyleUser
 from annotator.app.events import Event
 from annotator.app.view_options import Mode
 from annotator.session import AddClick, ChangeClick, Click
-from annotator.session.edits.object_edits import refuse_locked
 from annotator.views import drags
 from annotator.views.overlay import ScreenPoints, pixels
 from annotator.views.scene_view import SceneView
@@ -97,8 +96,7 @@ class PoseGesture:
 
     def start(self, at: Array) -> None:
         del at
-        controller = self._view.controller
-        controller.attempt(lambda: refuse_locked(controller.session.object(self._name)))
+        self._view.controller.may_move(self._name)
 
     def to(self, at: Array) -> None:
         T_cam_obj = self._T_cam_eye @ self._drag.to(at)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from annotator.app.controller import Controller
 from annotator.app.view_options import Mode
-from annotator.session.edits.object_edits import refuse_locked
 from annotator.views import drags, gizmo, interaction, scene_view
 from std_toolkit.geometry import SE3, so3_exp
 
@@ -280,7 +279,7 @@ class Pointer:
         if name is None or pose is None or solid is None or not controller.session.writable:
             return
         controller.activate_view(view.slot)
-        if not controller.attempt(lambda: refuse_locked(controller.session.object(name))):
+        if not controller.may_move(name):
             return
         centre = pose @ solid.shape.centre
         if self._interactor.GetShiftKey():

@@ -109,7 +109,7 @@ def _seen(item: ObjectCheck, measured: Measured) -> Reading | None:
     elif seen == "faint" and _is_expected(item) and item.material in DIFFUSE_MATERIALS:
         verdict = "doubtful"
     elif seen == "aside" and item.material == "transparent":
-        # Edges beside steel may be those of its highlights.
+        # Not of steel: edges beside it may be those of its highlights.
         as_well = fits_as_well(item, MotionGateSettings.current().beside)
         verdict = "unknown" if as_well else "doubtful"
     return Reading(1.0, detail=_UNSEEN.get(seen, _UNSEEN["faint"]), verdict=verdict)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 from bench import Bench
 from PySide6.QtCore import QPoint, Qt
@@ -23,8 +21,6 @@ def test_a_locked_object_shows_it_and_stays_where_it_is(bench: Bench) -> None:
     assert bench.message().startswith("box_1 is locked")
     bench.press(Qt.Key.Key_Right)
     assert bench.pose().flat() == before
-    if shown := os.environ.get("LOCK_PICTURE"):
-        bench.shell.grab().save(shown)
     bench.press("l")
     bench.drag(bench.on_object(), QPoint(30, 10))
     assert bench.pose().flat() != before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -27,8 +26,6 @@ def test_a_page_locks_shows_it_and_refuses_a_step(serve: Callable[..., Served], 
     page.keyboard.press("ArrowRight")
     notice(page, "box_1 is locked")
     assert np.array_equal(position(page), before)
-    if shown := os.environ.get("LOCK_PICTURE"):
-        page.screenshot(path=shown)
     page.keyboard.press("l")
     padlock.wait_for(state="detached")
     page.keyboard.press("ArrowRight")
